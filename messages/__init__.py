@@ -1,0 +1,1 @@
+"""What the bytes mean: schemas, codecs and the catalogue of messages."""

@@ -1,0 +1,1 @@
+"""The thin link: in virtual time and as a UDP proxy."""

@@ -1,0 +1,1 @@
+"""What leaves when: queues, pacing and the link between the robot and the operator."""
