@@ -1,0 +1,312 @@
+"""The link's wire: one datagram is a 10-byte header and frames. See docs/wire_format.md.
+
+Header: version and flags (1 B), epoch (2 B), packet number (3 B), send stamp (4 B), little-endian.
+The epoch is drawn at random when a daemon starts, so the peer can tell a restart; packet numbers
+count from 0 in each epoch and are sent by their low 24 bits; the send stamp is the sender's monotonic
+clock in microseconds, modulo 2^32.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from shaper.errors import DecodeError
+from shaper.varint import append_varint, read_varint, varint_bytes
+
+VERSION = 1
+HEADER_BYTES = 10
+IP_UDP_BYTES = 28  # IPv4 (20) and UDP (8) headers, charged to the link for every datagram
+NUMBER_BITS = 24
+STAMP_BITS = 32
+EPOCH_BITS = 16
+MESSAGE_NUMBER_BITS = 16
+
+_HEADER = struct.Struct("<BHHBI")  # version/flags, epoch, number low 16, number high 8, stamp
+_ELICITS_REPORT = 0x10
+
+_MESSAGE, _FRAGMENT, _REPORT, _HELLO, _KNOWN = 1, 2, 3, 4, 5
+_TYPE_MASK = 0x07
+_NAMED, _LATEST, _COMPRESSED = 0x08, 0x10, 0x20
+
+_NUMBER = struct.Struct("<H")
+_HELLO_BODY = struct.Struct("<q")
+_REPORT_BODY = struct.Struct("<HHBII")  # epoch reported on, largest number, its arrival stamp, received
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What every datagram starts with; see the module's first lines for the fields."""
+
+    epoch: int
+    number: int
+    stamp_us: int
+    elicits_report: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TopicName:
+    """A topic written out: its key and the encoding of its payloads."""
+
+    key: str
+    encoding: str
+
+
+@dataclass(frozen=True, slots=True)
+class MessageFrame:
+    """A whole message, or the part of one from `offset`.
+
+    topic_id: the sender's short number for a (key, encoding).
+    name: what the number stands for; present until the receiver has confirmed that it knows.
+    age_us: capture to the datagram's send stamp, microseconds.
+    total_bytes: size of the whole message; a part is shorter.
+    """
+
+    topic_id: int
+    number: int
+    age_us: int
+    data: bytes
+    offset: int = 0
+    total_bytes: int = -1
+    name: TopicName | None = None
+    latest: bool = False
+    compressed: bool = False
+
+    @property
+    def is_whole(self) -> bool:
+        return self.total_bytes < 0 or len(self.data) == self.total_bytes
+
+
+@dataclass(frozen=True, slots=True)
+class ReportFrame:
+    """What the receiver met, in its own clock: the raw material of link estimation.
+
+    epoch: the epoch of the reported sender; a restarted sender ignores reports on its former self.
+    largest: low bits of the largest packet number that arrived; arrival_us: when.
+    received: packets that arrived in all since the receiver knows this epoch, modulo 2^32.
+    earlier: (numbers before the one above, microseconds of arrival before it), newest first.
+    """
+
+    epoch: int
+    largest: int
+    arrival_us: int
+    received: int
+    earlier: tuple[tuple[int, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class HelloFrame:
+    """The sender's wall clock at this datagram's send stamp, nanoseconds since the Unix epoch."""
+
+    unix_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class KnownFrame:
+    """Topic ids of the peer's epoch that the sender of this frame can name by now."""
+
+    epoch: int
+    topic_ids: tuple[int, ...]
+
+
+Frame = MessageFrame | ReportFrame | HelloFrame | KnownFrame
+
+
+def write_header(out: bytearray, header: Header) -> None:
+    """Write the header over the first bytes; the number and the stamp are cut to their low bits."""
+    number = header.number & 0xFF_FFFF
+    _HEADER.pack_into(
+        out,
+        0,
+        VERSION | (_ELICITS_REPORT if header.elicits_report else 0),
+        header.epoch,
+        number & 0xFFFF,
+        number >> 16,
+        header.stamp_us & 0xFFFF_FFFF,
+    )
+
+
+def message_overhead_bytes(
+    topic_id: int, age_us: int, name: TopicName | None, offset: int, total_bytes: int
+) -> int:
+    """The most that the frame of a message, or of a part of it, takes besides its data."""
+    size = (
+        3
+        + varint_bytes(topic_id)
+        + varint_bytes(age_us)
+        + varint_bytes(offset)
+        + 2 * varint_bytes(total_bytes)
+    )
+    if name is not None:
+        size += 4 + len(name.key.encode()) + len(name.encoding.encode())
+    return size
+
+
+def append_message(out: bytearray, frame: MessageFrame) -> None:
+    """Write a message or a part of one."""
+    whole = frame.is_whole
+    out.append(
+        (_MESSAGE if whole else _FRAGMENT)
+        | (_NAMED if frame.name is not None else 0)
+        | (_LATEST if frame.latest else 0)
+        | (_COMPRESSED if frame.compressed else 0)
+    )
+    append_varint(out, frame.topic_id)
+    out += _NUMBER.pack(frame.number & 0xFFFF)
+    append_varint(out, frame.age_us)
+    if frame.name is not None:
+        _append_text(out, frame.name.key)
+        _append_text(out, frame.name.encoding)
+    if not whole:
+        append_varint(out, frame.offset)
+        append_varint(out, frame.total_bytes)
+    append_varint(out, len(frame.data))
+    out += frame.data
+
+
+def append_report(out: bytearray, frame: ReportFrame) -> None:
+    """Write a receiver report."""
+    out.append(_REPORT)
+    largest = frame.largest & 0xFF_FFFF
+    out += _REPORT_BODY.pack(
+        frame.epoch,
+        largest & 0xFFFF,
+        largest >> 16,
+        frame.arrival_us & 0xFFFF_FFFF,
+        frame.received & 0xFFFF_FFFF,
+    )
+    append_varint(out, len(frame.earlier))
+    for numbers_before, us_before in frame.earlier:
+        append_varint(out, numbers_before)
+        append_varint(out, max(0, us_before))
+
+
+def append_hello(out: bytearray, frame: HelloFrame) -> None:
+    """Write the sender's wall clock."""
+    out.append(_HELLO)
+    out += _HELLO_BODY.pack(frame.unix_ns)
+
+
+def append_known(out: bytearray, frame: KnownFrame) -> None:
+    """Write which topic ids need no name any more."""
+    out.append(_KNOWN)
+    out += _NUMBER.pack(frame.epoch)
+    append_varint(out, len(frame.topic_ids))
+    for topic_id in frame.topic_ids:
+        append_varint(out, topic_id)
+
+
+def decode_datagram(data: bytes) -> tuple[Header, list[Frame]]:
+    """Header and frames of a datagram. Returns, or raises DecodeError and nothing else."""
+    if len(data) < HEADER_BYTES:
+        raise DecodeError(f"{len(data)} bytes are shorter than a header ({HEADER_BYTES})")
+    first, epoch, number_low, number_high, stamp_us = _HEADER.unpack_from(data)
+    if first & ~_ELICITS_REPORT != VERSION:
+        raise DecodeError(f"version and flags {first:#04x} are unknown")
+    header = Header(epoch, number_high << 16 | number_low, stamp_us, bool(first & _ELICITS_REPORT))
+    frames: list[Frame] = []
+    at = HEADER_BYTES
+    while at < len(data):
+        reader = _READERS.get(data[at] & _TYPE_MASK)
+        if reader is None:
+            raise DecodeError(f"frame type {data[at]:#04x} at byte {at} is unknown")
+        frame, at = reader(data, at)
+        frames.append(frame)
+    return header, frames
+
+
+def _append_text(out: bytearray, text: str) -> None:
+    raw = text.encode()
+    out += _NUMBER.pack(len(raw))
+    out += raw
+
+
+def _read_text(data: bytes, at: int) -> tuple[str, int]:
+    raw, at = _take(data, at + 2, _unpack(_NUMBER, data, at)[0])
+    try:
+        return raw.decode(), at
+    except UnicodeDecodeError as error:
+        raise DecodeError(f"a topic name at byte {at} is not UTF-8") from error
+
+
+def _take(data: bytes, at: int, count: int) -> tuple[bytes, int]:
+    if at + count > len(data):
+        raise DecodeError(f"{count} bytes from byte {at} run past the end of the datagram")
+    return data[at : at + count], at + count
+
+
+def _unpack(layout: struct.Struct, data: bytes, at: int) -> tuple[int, ...]:
+    if at + layout.size > len(data):
+        raise DecodeError(f"{layout.size} bytes from byte {at} run past the end of the datagram")
+    return layout.unpack_from(data, at)
+
+
+def _read_message(data: bytes, at: int) -> tuple[Frame, int]:
+    kind = data[at]
+    topic_id, at = read_varint(data, at + 1)
+    (number,) = _unpack(_NUMBER, data, at)
+    age_us, at = read_varint(data, at + 2)
+    name = None
+    if kind & _NAMED:
+        key, at = _read_text(data, at)
+        encoding, at = _read_text(data, at)
+        name = TopicName(key, encoding)
+    offset, total_bytes = 0, -1
+    if kind & _TYPE_MASK == _FRAGMENT:
+        offset, at = read_varint(data, at)
+        total_bytes, at = read_varint(data, at)
+    count, at = read_varint(data, at)
+    body, at = _take(data, at, count)
+    if total_bytes >= 0 and (count == 0 or offset + count > total_bytes):
+        raise DecodeError(f"a part of {count} bytes at {offset} does not fit a message of {total_bytes}")
+    frame = MessageFrame(
+        topic_id,
+        number,
+        age_us,
+        body,
+        offset,
+        total_bytes,
+        name,
+        bool(kind & _LATEST),
+        bool(kind & _COMPRESSED),
+    )
+    return frame, at
+
+
+def _read_report(data: bytes, at: int) -> tuple[Frame, int]:
+    epoch, low, high, arrival_us, received = _unpack(_REPORT_BODY, data, at + 1)
+    count, at = read_varint(data, at + 1 + _REPORT_BODY.size)
+    if count > len(data):
+        raise DecodeError(f"a report of {count} arrivals does not fit a datagram of {len(data)} bytes")
+    earlier = []
+    for _ in range(count):
+        numbers_before, at = read_varint(data, at)
+        us_before, at = read_varint(data, at)
+        earlier.append((numbers_before, us_before))
+    return ReportFrame(epoch, high << 16 | low, arrival_us, received, tuple(earlier)), at
+
+
+def _read_hello(data: bytes, at: int) -> tuple[Frame, int]:
+    return HelloFrame(_unpack(_HELLO_BODY, data, at + 1)[0]), at + 1 + _HELLO_BODY.size
+
+
+def _read_known(data: bytes, at: int) -> tuple[Frame, int]:
+    (epoch,) = _unpack(_NUMBER, data, at + 1)
+    count, at = read_varint(data, at + 1 + _NUMBER.size)
+    if count > len(data):
+        raise DecodeError(f"{count} topic ids do not fit a datagram of {len(data)} bytes")
+    topic_ids = []
+    for _ in range(count):
+        topic_id, at = read_varint(data, at)
+        topic_ids.append(topic_id)
+    return KnownFrame(epoch, tuple(topic_ids)), at
+
+
+_READERS: dict[int, Callable[[bytes, int], tuple[Frame, int]]] = {
+    _MESSAGE: _read_message,
+    _FRAGMENT: _read_message,
+    _REPORT: _read_report,
+    _HELLO: _read_hello,
+    _KNOWN: _read_known,
+}

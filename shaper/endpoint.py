@@ -1,0 +1,309 @@
+"""One end of the link: the only class that a driver talks to. No I/O; time is an argument.
+
+Three things happen to an endpoint: the bus offers it a message, the link brings it a datagram, its
+timer runs out. After each of them the driver calls `pump`, which sends what may leave and hands over
+what has happened, and says when to come back. The same class runs live, in virtual time and in tests.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from shaper.datagram import (
+    HEADER_BYTES,
+    IP_UDP_BYTES,
+    Header,
+    HelloFrame,
+    MessageFrame,
+    ReportFrame,
+    append_hello,
+    append_known,
+    append_report,
+    decode_datagram,
+    write_header,
+)
+from shaper.errors import DecodeError
+from shaper.events import Event, LinkState, PeerStarted
+from shaper.incoming import Incoming, Limits
+from shaper.ledger import ReceivedLedger, SentLedger
+from shaper.link_estimator import LinkEstimator, datagram_wire_bytes
+from shaper.outgoing import Outgoing
+from shaper.pacer import NS_PER_S, Pacer
+from shaper.path import Path
+from shaper.queues import Payload
+from shaper.traffic_class import TopicRule
+
+BEAT_INTERVAL_NS = 1_000_000_000  # each side says at least this often that it is there
+SEARCH_INTERVAL_NS = 500_000_000  # the same while the peer has never been heard
+REPORT_INTERVAL_NS = 50_000_000  # a report leaves at most this long after what it reports on ...
+REPORT_SHARE = 0.03  # ... but pure reports take no more than this share of our own direction
+_REPORT_WIRE_BYTES = 75  # a typical pure report: headers, a report of ten arrivals
+_PIGGYBACK_NS = 20_000_000  # a datagram that leaves anyway carries a report if the last is older
+_CREDIT_NS = 10_000_000  # what a late timer may catch up, as time at the present rate
+_KNOWN_PER_DATAGRAM = 32  # topics confirmed at a time; more wait for the next datagram
+_RETIRED_EPOCHS = 8  # former lives of the peer whose late datagrams are recognised
+
+
+@dataclass(frozen=True, slots=True)
+class EndpointSettings:
+    """What an endpoint needs to know; `shaper.config` makes it from TOML.
+
+    rules: topics that this side sends, first match wins. accept: key expressions that it takes.
+    max_datagram_bytes: UDP payload, excluding IP and UDP headers.
+    """
+
+    rules: tuple[TopicRule, ...]
+    accept: tuple[str, ...] = ("**",)
+    max_datagram_bytes: int = 1200
+    limits: Limits = field(default_factory=Limits)
+
+
+@dataclass(slots=True)
+class Counters:
+    """Datagrams, and why some were dropped."""
+
+    sent_datagrams: int = 0
+    sent_wire_bytes: int = 0
+    received_datagrams: int = 0
+    received_wire_bytes: int = 0
+    malformed: int = 0
+    duplicate: int = 0
+    stale_epoch: int = 0
+
+
+class Endpoint:
+    """Shapes one side's traffic onto the link and rebuilds the other side's from it.
+
+    epoch: a random 16-bit number, new at each start, by which the peer notices a restart.
+    now_ns: a monotonic clock of this host; unix_ns: its wall clock at the same instant.
+    """
+
+    def __init__(
+        self, settings: EndpointSettings, estimator: LinkEstimator, epoch: int, now_ns: int, unix_ns: int
+    ) -> None:
+        limits = settings.limits
+        self.counters = Counters()
+        self.received_ledgers: dict[str, ReceivedLedger] = {}
+        self._settings = settings
+        self._epoch = epoch
+        self._estimator = estimator
+        self._unix_minus_monotonic_ns = unix_ns - now_ns
+        self._outgoing = Outgoing(settings.rules, limits.max_topics, limits.max_message_bytes)
+        self._incoming: Incoming | None = None
+        self._retired_epochs: deque[int] = deque(maxlen=_RETIRED_EPOCHS)
+        self._path = Path()
+        self._pacer = Pacer(estimator.rate_bps, self._credit_bytes(), now_ns)
+        self._events: deque[Event] = deque()
+        self._beat_at_ns = now_ns
+        self._link_state: LinkState | None = None
+        self._report_at_once = False  # a peer just met gets its first report without waiting
+        self._reported_at_ns = now_ns
+
+    # What happens to an endpoint.
+
+    def offer(self, key: str, payload: Payload, capture_ns: int, now_ns: int, encoding: str = "") -> None:
+        """A local publisher has a message. capture_ns: on this host's monotonic clock."""
+        self._outgoing.offer(key, payload, encoding, capture_ns, now_ns)
+
+    def receive_datagram(self, data: bytes, now_ns: int) -> None:
+        """The link has brought a datagram. Malformed ones are counted, never raised."""
+        self.counters.received_datagrams += 1
+        self.counters.received_wire_bytes += len(data) + IP_UDP_BYTES
+        try:
+            self._receive(data, now_ns)
+        except DecodeError:
+            self.counters.malformed += 1
+
+    def on_timer(self, now_ns: int) -> None:
+        """The time that `pump` returned has come."""
+        wakeup_ns = self._estimator.wakeup_at_ns()
+        if wakeup_ns is not None and wakeup_ns <= now_ns:
+            self._estimator.on_timer(now_ns)
+            self._follow_estimate(now_ns)
+
+    def set_wall_clock(self, unix_ns: int, now_ns: int) -> None:
+        """The wall clock may have been stepped; capture times are told to the peer by it."""
+        self._unix_minus_monotonic_ns = unix_ns - now_ns
+
+    # What comes out of it; `pump` drains both.
+
+    def next_datagram(self, now_ns: int) -> bytes | None:
+        """The next datagram that may leave now, or None."""
+        only_emergency = not self._pacer.may_send(now_ns)
+        holding = self.holding
+        scheduler = self._outgoing.scheduler
+        queue = scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
+        beat_due = not only_emergency and now_ns >= self._beat_at_ns
+        report_due_ns = self._report_due_ns()
+        report_due = not only_emergency and report_due_ns is not None and report_due_ns <= now_ns
+        if queue is None and not beat_due and not report_due:
+            return None
+        out = bytearray(HEADER_BYTES)
+        said_hello = self._append_control(out, now_ns, beat_due, report_due)
+        has_messages = queue is not None and self._outgoing.fill(
+            out,
+            self._datagram_limit_bytes(),
+            self._estimator.rate_bps,
+            now_ns,
+            only_always_send=holding,
+            only_emergency=only_emergency,
+        )
+        if len(out) == HEADER_BYTES:  # what waited has expired
+            return None
+        return self._seal(out, now_ns, elicits_report=has_messages or said_hello)
+
+    def next_event(self) -> Event | None:
+        """The oldest event not handed over yet, or None."""
+        return self._events.popleft() if self._events else None
+
+    def wakeup_at_ns(self, now_ns: int) -> int:
+        """When something falls due or may leave, if nothing happens before."""
+        wakeup_ns = self._beat_at_ns
+        report_due_ns = self._report_due_ns()
+        if report_due_ns is not None and report_due_ns < wakeup_ns:
+            wakeup_ns = report_due_ns
+        if self._outgoing.scheduler.next_queue(only_always_send=self.holding) is not None:
+            wakeup_ns = now_ns
+        wakeup_ns = max(wakeup_ns, self._pacer.next_send_at_ns(now_ns))
+        estimator_ns = self._estimator.wakeup_at_ns()
+        return wakeup_ns if estimator_ns is None else min(wakeup_ns, estimator_ns)
+
+    # What drivers and people look at.
+
+    @property
+    def holding(self) -> bool:
+        """Whether only classes with always_send may leave: no peer heard yet, or enough in flight."""
+        return self._incoming is None or self._path.bytes_in_flight >= self._estimator.in_flight_limit_bytes
+
+    def sent_ledgers(self) -> dict[str, SentLedger]:
+        """Counters of the topics that this side sends, by key."""
+        return self._outgoing.ledgers()
+
+    def link_state(self) -> LinkState:
+        """What this side believes of its sending direction."""
+        estimator, path = self._estimator, self._path
+        return LinkState(
+            rate_bps=estimator.rate_bps,
+            band=estimator.band,
+            rtt_ns=path.rtt_ns,
+            in_flight_bytes=path.bytes_in_flight,
+            in_flight_limit_bytes=estimator.in_flight_limit_bytes,
+            loss_ratio=path.loss_ratio,
+            holding=self.holding,
+        )
+
+    # Sending.
+
+    def _append_control(self, out: bytearray, now_ns: int, beat_due: bool, report_due: bool) -> bool:
+        """Append what the two ends tell each other beside messages; whether that includes a hello."""
+        incoming = self._incoming
+        if incoming is not None:
+            if incoming.has_unreported and (report_due or now_ns - self._reported_at_ns >= _PIGGYBACK_NS):
+                append_report(out, incoming.take_report())
+                self._reported_at_ns = now_ns
+            if incoming.has_to_confirm:
+                known = incoming.take_known(_KNOWN_PER_DATAGRAM)
+                append_known(out, known)
+        if beat_due:
+            interval_ns = SEARCH_INTERVAL_NS if incoming is None else BEAT_INTERVAL_NS
+            self._beat_at_ns = now_ns + interval_ns
+            self._events.append(self.link_state())
+        if beat_due or not self._path.reported:
+            append_hello(out, HelloFrame(now_ns // 1000 * 1000 + self._unix_minus_monotonic_ns))
+            return True
+        return False
+
+    def _seal(self, out: bytearray, now_ns: int, *, elicits_report: bool) -> bytes:
+        packet = self._path.on_sent(len(out) + IP_UDP_BYTES, now_ns)
+        write_header(out, Header(self._epoch, packet.number, now_ns // 1000, elicits_report))
+        self._pacer.on_sent(packet.wire_bytes, now_ns)
+        self._estimator.on_sent(packet, now_ns)
+        self.counters.sent_datagrams += 1
+        self.counters.sent_wire_bytes += packet.wire_bytes
+        return bytes(out)
+
+    def _report_due_ns(self) -> int | None:
+        incoming = self._incoming
+        if incoming is None or incoming.unreported_since_ns is None:
+            return None
+        if self._report_at_once:
+            return incoming.unreported_since_ns
+        share_ns = int(_REPORT_WIRE_BYTES * 8 * NS_PER_S / (REPORT_SHARE * self._estimator.rate_bps))
+        return incoming.unreported_since_ns + max(REPORT_INTERVAL_NS, share_ns)
+
+    def _datagram_limit_bytes(self) -> int:
+        max_wire_bytes = self._settings.max_datagram_bytes + IP_UDP_BYTES
+        return datagram_wire_bytes(self._estimator.rate_bps, max_wire_bytes) - IP_UDP_BYTES
+
+    def _credit_bytes(self) -> int:
+        return self._estimator.rate_bps * _CREDIT_NS // (8 * NS_PER_S)
+
+    def _follow_estimate(self, now_ns: int) -> None:
+        if self._estimator.rate_bps != self._pacer.rate_bps:
+            self._pacer.set_rate(self._estimator.rate_bps, self._credit_bytes(), now_ns)
+            self._events.append(self.link_state())
+
+    # Receiving.
+
+    def _receive(self, data: bytes, now_ns: int) -> None:
+        header, frames = decode_datagram(data)
+        incoming = self._incoming
+        if incoming is None or header.epoch != incoming.epoch:
+            if header.epoch in self._retired_epochs:
+                self.counters.stale_epoch += 1
+                return
+            incoming = self._meet_peer(header.epoch, now_ns)
+        sent_us = incoming.accept_packet(header, now_ns)
+        if sent_us is None:
+            self.counters.duplicate += 1
+            return
+        for frame in frames:
+            if isinstance(frame, MessageFrame):
+                delivered = incoming.on_message(frame, sent_us, now_ns)
+                if delivered is not None:
+                    self._events.append(delivered)
+            elif isinstance(frame, ReportFrame):
+                self._on_report(frame, sent_us, incoming, now_ns)
+            elif isinstance(frame, HelloFrame):
+                incoming.on_hello(frame, sent_us)
+            elif frame.epoch == self._epoch:
+                self._outgoing.on_known(frame.topic_ids)
+
+    def _meet_peer(self, epoch: int, now_ns: int) -> Incoming:
+        """The peer's first datagram, or the first after it has started anew."""
+        again = self._incoming is not None
+        if self._incoming is not None:
+            self._retired_epochs.append(self._incoming.epoch)
+            self._outgoing.forget_confirmations()
+            self._path.on_peer_restarted()
+            self._estimator.on_peer_restarted(now_ns)
+        self._incoming = Incoming(epoch, self._settings.limits, self._settings.accept, self.received_ledgers)
+        self._report_at_once = True  # it waits for nothing but our word
+        self._beat_at_ns = now_ns
+        self._events.append(PeerStarted(epoch, again))
+        return self._incoming
+
+    def _on_report(self, frame: ReportFrame, sent_us: int, incoming: Incoming, now_ns: int) -> None:
+        if frame.epoch != self._epoch:  # it speaks of our former self
+            return
+        settled = self._path.on_report(frame, sent_us, incoming.clock, now_ns)
+        if settled:
+            self._report_at_once = False
+            self._estimator.on_report(settled, self._path.rtt_ns, self._path.loss_ratio, now_ns)
+            self._follow_estimate(now_ns)
+
+
+def pump(
+    endpoint: Endpoint,
+    now_ns: int,
+    send: Callable[[bytes], None],
+    handle: Callable[[Event], None],
+) -> int:
+    """Send what may leave, hand over what has happened; returns when to call `on_timer` and again."""
+    while (datagram := endpoint.next_datagram(now_ns)) is not None:
+        send(datagram)
+    while (event := endpoint.next_event()) is not None:
+        handle(event)
+    return endpoint.wakeup_at_ns(now_ns)

@@ -1,0 +1,53 @@
+"""What the endpoint tells its driver. Drivers publish, trace and count; the core logs nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """A message from the peer, ready for the local bus.
+
+    number: the message's number within its topic, in the peer's epoch.
+    capture_unix_ns: capture time on the peer's wall clock; None until the peer has told its clock.
+    one_way_delay_ns: first departure to complete arrival; age_ns: capture to complete arrival. Both
+    by the offset between the two clocks as estimated from the exchange; None before the first estimate.
+    """
+
+    key: str
+    payload: bytes
+    encoding: str
+    number: int
+    capture_unix_ns: int | None
+    one_way_delay_ns: int | None
+    age_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class PeerStarted:
+    """The peer was heard for the first time, or has restarted (`again`)."""
+
+    epoch: int
+    again: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """What this side believes of its own sending direction.
+
+    rate_bps: paced at, on the wire. band: name of the recognised band.
+    rtt_ns: newest round-trip time without the peer's holding time; None before the first report.
+    loss_ratio: of the packets reported on lately. holding: only classes with always_send may leave.
+    """
+
+    rate_bps: int
+    band: str
+    rtt_ns: int | None
+    in_flight_bytes: int
+    in_flight_limit_bytes: int
+    loss_ratio: float
+    holding: bool
+
+
+Event = Delivered | PeerStarted | LinkState
