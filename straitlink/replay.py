@@ -1,0 +1,399 @@
+"""Publishes a recorded log on a Zenoh bus with the log's own timing, payload bytes untouched."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Literal, cast
+
+import zenoh
+from mcap.exceptions import McapError
+from mcap.reader import McapReader, make_reader
+from mcap.records import Channel, Message
+from mcap.summary import Summary
+
+from messages.attachment import Stamp
+from shaper.bus import BusSettings, open_bus
+
+from .schemas import ZENOH_ENCODING_KEY, PayloadType, zenoh_encoding
+
+NS_PER_S = 1_000_000_000
+_PROGRESS_INTERVAL_NS = 100_000_000
+# One wake-up publishes all that came due: at 4,000 messages/s this halves the CPU of one sleep per
+# message and costs half a millisecond of lateness.
+_WAKE_UP_QUANTUM_S = 0.0005
+_LONG_WAIT_S = 0.05  # longer waits listen for the stop request
+# A log whose publish_time is further from log_time than this was stamped by another clock (or 0).
+_SAME_CLOCK_NS = 10 * NS_PER_S
+
+
+class ReplayError(Exception):
+    """The log cannot be replayed; the message says which file or topic and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a replay is: position_s and duration_s in log time of the selected part, this pass."""
+
+    messages: int
+    payload_bytes: int
+    position_s: float
+    duration_s: float
+    pass_number: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReplaySettings:
+    """What to publish, where and how fast.
+
+    rate: log seconds per wall second. loop: passes over the log; 0 repeats until stopped.
+    include, exclude: topics ("/scan") or key expressions ("camera/**"); an empty include takes all.
+    start_s, end_s: part of the log to publish, from its first message.
+    stamp: "now" moves capture times to this host's present (see docs/recordings.md), "log" keeps them.
+    subscriber_wait_s: how long the first message waits for a subscriber of each topic; puts before
+    a match are lost.
+    """
+
+    log: Path
+    bus: BusSettings
+    rate: float = 1.0
+    loop: int = 1
+    include: Sequence[str] = ()
+    exclude: Sequence[str] = ()
+    start_s: float = 0.0
+    end_s: float | None = None
+    stamp: Literal["now", "log"] = "now"
+    subscriber_wait_s: float = 3.0
+    stop: threading.Event = field(default_factory=threading.Event)
+    on_progress: Callable[[Progress], None] | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.rate <= 1000.0:
+            raise ReplayError(f"replay rate = {self.rate} must be > 0 and <= 1000")
+        if self.loop < 0:
+            raise ReplayError(f"replay loop = {self.loop} must be >= 0 (0 repeats until stopped)")
+        if self.start_s < 0.0:
+            raise ReplayError(f"replay start_s = {self.start_s} must be >= 0")
+        if self.end_s is not None and self.end_s <= self.start_s:
+            raise ReplayError(f"replay end_s = {self.end_s} must be > start_s = {self.start_s}")
+        if self.stamp not in ("now", "log"):
+            raise ReplayError(f'replay stamp = {self.stamp!r} must be "now" or "log"')
+
+
+@dataclass(frozen=True, slots=True)
+class ReplaySummary:
+    """What was published. Lateness is how long after its due time a message was handed to Zenoh."""
+
+    messages: int
+    payload_bytes: int
+    topics: dict[str, int]
+    unmatched_topics: tuple[str, ...]
+    passes: int
+    wall_s: float
+    late_p50_ms: float
+    late_p95_ms: float
+    late_max_ms: float
+    stopped: bool
+
+
+def replay(settings: ReplaySettings) -> ReplaySummary:
+    """Publish the log and return when its last message is out, or soon after settings.stop is set.
+
+    Raises ReplayError for a log that cannot be read or holds no matching topic, and
+    shaper.bus.BusError if the bus cannot be opened.
+    """
+    with _open_log(settings.log) as (reader, summary):
+        channels = _selected(summary, settings)
+        _selected_time(settings, summary)  # refuses an empty part before the bus is opened
+        session = open_bus(settings.bus)
+        try:
+            return _Run(settings, reader, summary, _declare(session, summary, channels)).publish_all()
+        finally:
+            session.close()  # type: ignore[no-untyped-call]
+
+
+def topic_key(topic: str) -> str:
+    """The Zenoh key of an MCAP topic: "/robot/scan" -> "robot/scan".
+
+    Raises ReplayError for a topic that cannot be a key.
+    """
+    key = topic.strip("/")
+    if not key or "//" in key or any(sign in key for sign in "*$?#"):
+        raise ReplayError(
+            f"topic {topic!r} cannot be a Zenoh key (empty chunk or one of * $ ? #): exclude it"
+        )
+    return key
+
+
+def channel_encoding(channel: Channel, summary: Summary) -> str:
+    """The Zenoh encoding string of an MCAP channel."""
+    if ZENOH_ENCODING_KEY in channel.metadata:
+        return channel.metadata[ZENOH_ENCODING_KEY]
+    schema = summary.schemas.get(channel.schema_id)
+    return zenoh_encoding(PayloadType(channel.message_encoding, schema.name if schema else ""))
+
+
+@contextmanager
+def _open_log(path: Path) -> Iterator[tuple[McapReader, Summary]]:
+    try:
+        stream: IO[bytes] = path.open("rb")
+    except OSError as error:
+        raise ReplayError(f"cannot open the log {path}: {error.strerror}") from error
+    with stream:
+        try:
+            reader = make_reader(stream)
+            summary = reader.get_summary()
+        except (McapError, OSError, ValueError) as error:
+            raise ReplayError(f"{path} is not a finished MCAP file ({error}); recover it first") from error
+        if summary is None or summary.statistics is None or not summary.statistics.message_count:
+            raise ReplayError(f"{path} has no messages, or no summary section that counts them")
+        yield reader, summary
+
+
+def _selected(summary: Summary, settings: ReplaySettings) -> dict[int, Channel]:
+    """The channels to publish, by id. A topic that cannot be a key may still be excluded by its name."""
+    include = [_expression(name) for name in settings.include]
+    exclude = [_expression(name) for name in settings.exclude if name not in _topics(summary)]
+
+    def wanted(topic: str) -> bool:
+        if topic in settings.exclude or _meets(exclude, topic):
+            return False
+        return not include or topic in settings.include or _meets(include, topic)
+
+    channels = {number: channel for number, channel in summary.channels.items() if wanted(channel.topic)}
+    if not channels:
+        raise ReplayError(
+            f"no topic of {settings.log} is selected; it has {', '.join(sorted(_topics(summary)))}"
+        )
+    return channels
+
+
+def _topics(summary: Summary) -> set[str]:
+    return {channel.topic for channel in summary.channels.values()}
+
+
+def _meets(expressions: Sequence[zenoh.KeyExpr], topic: str) -> bool:
+    return bool(expressions) and any(expression.intersects(topic_key(topic)) for expression in expressions)
+
+
+def _expression(name: str) -> zenoh.KeyExpr:
+    try:
+        return zenoh.KeyExpr.autocanonize(name.strip("/"))
+    except zenoh.ZError as error:
+        raise ReplayError(f"{name!r} is neither a topic nor a key expression: {error}") from error
+
+
+class _Outlet:
+    """One channel's publisher and its running sequence number."""
+
+    __slots__ = ("count", "publisher", "sequence", "topic")
+
+    def __init__(self, publisher: zenoh.Publisher, topic: str) -> None:
+        self.publisher = publisher
+        self.topic = topic
+        self.sequence = -1
+        self.count = 0
+
+    @property
+    def matched(self) -> bool:
+        # The stub promises a bool; what comes is a MatchingStatus, which is always true.
+        return cast(zenoh.MatchingStatus, self.publisher.matching_status).matching
+
+    def next_sequence(self, logged: int, first_pass: bool) -> int:
+        """The log's own number; ours where the log does not count, and after the first pass."""
+        self.sequence = logged if first_pass and logged else self.sequence + 1
+        self.count += 1
+        return self.sequence
+
+
+def _declare(session: zenoh.Session, summary: Summary, channels: dict[int, Channel]) -> dict[int, _Outlet]:
+    """A publisher per channel, blocking when the bus is full.
+
+    20,000 puts of 1,250 B in a burst on loopback: BLOCK delivers all of them, DROP 12,016, and put()
+    tells neither. Session.close() sends what a BLOCK publisher has queued.
+    """
+    return {
+        number: _Outlet(
+            session.declare_publisher(
+                topic_key(channel.topic),
+                encoding=channel_encoding(channel, summary),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            ),
+            channel.topic,
+        )
+        for number, channel in channels.items()
+    }
+
+
+class _Lateness:
+    """A histogram of 0.1 ms bins up to 1 s: quantiles of any number of messages in flat memory."""
+
+    BIN_NS = 100_000
+    BINS = 10_000
+
+    def __init__(self) -> None:
+        self.counts = [0] * (self.BINS + 1)
+        self.max_ns = 0
+
+    def add(self, late_ns: int) -> None:
+        self.counts[min(max(late_ns, 0) // self.BIN_NS, self.BINS)] += 1
+        self.max_ns = max(self.max_ns, late_ns)
+
+    def quantile_ms(self, share: float) -> float:
+        """Upper edge of the bin that holds the quantile, at most the maximum; 0 without messages."""
+        needed = share * sum(self.counts)
+        passed = 0
+        for index, count in enumerate(self.counts):
+            passed += count
+            if count and passed >= needed:
+                edge_ns = (index + 1) * self.BIN_NS if index < self.BINS else self.max_ns
+                return min(edge_ns, self.max_ns) / 1e6
+        return 0.0
+
+
+class _Pass:
+    """One pass over the log: when each message is due, and the capture time it then claims."""
+
+    def __init__(self, settings: ReplaySettings, log_origin_ns: int, origin_ns: int, wall_ns: int) -> None:
+        self.settings = settings
+        self.log_origin_ns = log_origin_ns
+        self.origin_ns = origin_ns
+        self.wall_ns = wall_ns
+        self.clock_difference_ns: int | None = None
+
+    def offset_ns(self, log_time_ns: int) -> int:
+        elapsed_ns = log_time_ns - self.log_origin_ns
+        return elapsed_ns if self.settings.rate == 1.0 else round(elapsed_ns / self.settings.rate)
+
+    def capture_ns(self, message: Message, offset_ns: int) -> int:
+        """The message's capture time; with "now", as old at its put as it was at its log time.
+
+        At rate 1 that is publish_time plus one constant of the pass. Where log_time and publish_time
+        come from different clocks (or publish_time is absent), only differences between capture times
+        count, and the first message is as if captured now.
+        """
+        if self.settings.stamp == "log":
+            return message.publish_time
+        age_ns = message.log_time - message.publish_time
+        if self.clock_difference_ns is None:
+            self.clock_difference_ns = 0 if 0 <= age_ns <= _SAME_CLOCK_NS else age_ns
+        return self.wall_ns + offset_ns - (age_ns - self.clock_difference_ns)
+
+
+class _Run:
+    """The passes over one log."""
+
+    def __init__(
+        self, settings: ReplaySettings, reader: McapReader, summary: Summary, outlets: dict[int, _Outlet]
+    ) -> None:
+        self.settings = settings
+        self.reader = reader
+        self.outlets = outlets
+        self.start_ns, self.end_ns = _selected_time(settings, summary)
+        self.lateness = _Lateness()
+        self.messages = 0
+        self.payload_bytes = 0
+        self.passes = 0
+        self.progress_at_ns = 0
+
+    def publish_all(self) -> ReplaySummary:
+        """Every pass, each starting where the one before it ends; then what happened."""
+        unmatched = self._wait_for_subscribers()
+        started_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        pass_ns = round((self.end_ns - self.start_ns) / self.settings.rate)
+        stop = self.settings.stop
+        while not stop.is_set() and (self.settings.loop == 0 or self.passes < self.settings.loop):
+            shift_ns = self.passes * pass_ns
+            current = _Pass(self.settings, self.start_ns, started_ns + shift_ns, wall_ns + shift_ns)
+            self._publish(current)
+            self.passes += 1
+        return ReplaySummary(
+            messages=self.messages,
+            payload_bytes=self.payload_bytes,
+            topics=self._counts(),
+            unmatched_topics=unmatched,
+            passes=self.passes,
+            wall_s=(time.monotonic_ns() - started_ns) / NS_PER_S,
+            late_p50_ms=self.lateness.quantile_ms(0.50),
+            late_p95_ms=self.lateness.quantile_ms(0.95),
+            late_max_ms=self.lateness.max_ns / 1e6,
+            stopped=stop.is_set(),
+        )
+
+    def _publish(self, current: _Pass) -> None:
+        topics = {outlet.topic for outlet in self.outlets.values()}
+        records = self.reader.iter_messages(topics, starting_at=self.start_ns, ending_before=self.end_ns)
+        for _schema, _channel, message in records:
+            outlet = self.outlets.get(message.channel_id)
+            if outlet is None:
+                continue
+            offset_ns = current.offset_ns(message.log_time)
+            due_ns = current.origin_ns + offset_ns
+            if not self._wait_until(due_ns):
+                return
+            capture_ns = current.capture_ns(message, offset_ns)
+            sequence = outlet.next_sequence(message.sequence, first_pass=self.passes == 0)
+            outlet.publisher.put(message.data, attachment=Stamp(capture_ns, sequence).encode())
+            self.messages += 1
+            self.payload_bytes += len(message.data)
+            now_ns = time.monotonic_ns()
+            self.lateness.add(now_ns - due_ns)
+            if now_ns >= self.progress_at_ns:
+                self._report(message.log_time, now_ns)
+
+    def _wait_until(self, due_ns: int) -> bool:
+        """False once a stop is requested."""
+        stop = self.settings.stop
+        while (wait_s := (due_ns - time.monotonic_ns()) / NS_PER_S) > 0.0:
+            if wait_s > _LONG_WAIT_S:
+                stop.wait(wait_s - _LONG_WAIT_S)
+                if stop.is_set():
+                    return False
+            else:
+                time.sleep(max(wait_s, _WAKE_UP_QUANTUM_S))
+        return not stop.is_set()
+
+    def _wait_for_subscribers(self) -> tuple[str, ...]:
+        """Topics still without a subscriber when the wait is over."""
+        give_up_ns = time.monotonic_ns() + round(self.settings.subscriber_wait_s * NS_PER_S)
+        waiting = list(self.outlets.values())
+        while waiting := [outlet for outlet in waiting if not outlet.matched]:
+            if time.monotonic_ns() >= give_up_ns or self.settings.stop.wait(0.005):
+                break
+        return tuple(sorted({outlet.topic for outlet in waiting}))
+
+    def _counts(self) -> dict[str, int]:
+        counts: dict[str, int] = {}
+        for outlet in self.outlets.values():
+            counts[outlet.topic] = counts.get(outlet.topic, 0) + outlet.count
+        return dict(sorted(counts.items()))
+
+    def _report(self, log_time_ns: int, now_ns: int) -> None:
+        self.progress_at_ns = now_ns + _PROGRESS_INTERVAL_NS
+        if self.settings.on_progress is not None:
+            position_s = (log_time_ns - self.start_ns) / NS_PER_S
+            duration_s = (self.end_ns - self.start_ns) / NS_PER_S
+            progress = Progress(self.messages, self.payload_bytes, position_s, duration_s, self.passes + 1)
+            self.settings.on_progress(progress)
+
+
+def _selected_time(settings: ReplaySettings, summary: Summary) -> tuple[int, int]:
+    """Log times [start, end) of the part to publish.
+
+    Counted from the log's first message whatever topics are selected, so that two replays of one
+    log, one per direction, stay in step.
+    """
+    assert summary.statistics is not None  # _open_log checked
+    first_ns, last_ns = summary.statistics.message_start_time, summary.statistics.message_end_time
+    start_ns = first_ns + round(settings.start_s * NS_PER_S)
+    end_ns = last_ns + 1
+    if settings.end_s is not None:
+        end_ns = min(end_ns, first_ns + round(settings.end_s * NS_PER_S))
+    if start_ns >= end_ns:
+        length_s = (last_ns - first_ns) / NS_PER_S
+        raise ReplayError(f"replay start_s = {settings.start_s} is past the log's end at {length_s:.3f} s")
+    return start_ns, end_ns
