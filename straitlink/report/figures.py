@@ -1,0 +1,41 @@
+"""Figures with units, as the table and the page print them."""
+
+from __future__ import annotations
+
+from .summary import Spread
+
+MISSING = "–"  # noqa: RUF001
+
+
+def seconds(value_ns: int | None) -> str:
+    """1_234_000_000 -> "1.23 s", 56_700_000 -> "57 ms"."""
+    if value_ns is None:
+        return MISSING
+    if abs(value_ns) < 999_500_000:
+        return f"{value_ns / 1e6:.0f} ms" if abs(value_ns) >= 9_950_000 else f"{value_ns / 1e6:.1f} ms"
+    return f"{value_ns / 1e9:.2f} s" if abs(value_ns) < 99_995_000_000 else f"{value_ns / 1e9:.0f} s"
+
+
+def spread_cells(spread: Spread | None) -> tuple[str, str, str]:
+    """p50, p95 and max."""
+    if spread is None:
+        return MISSING, MISSING, MISSING
+    return seconds(spread.p50_ns), seconds(spread.p95_ns), seconds(spread.max_ns)
+
+
+def count(value: int | None) -> str:
+    """1234567 -> "1,234,567"."""
+    return MISSING if value is None else f"{value:,}"
+
+
+def size(value_bytes: int) -> str:
+    """1_234_567 -> "1.23 MB" (decimal)."""
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if value_bytes >= scale * 0.9995:
+            return f"{value_bytes / scale:.3g} {unit}"
+    return f"{value_bytes} B"
+
+
+def percent(ratio: float | None) -> str:
+    """0.956 -> "95.6 %"."""
+    return MISSING if ratio is None else f"{100 * ratio:.1f} %"
