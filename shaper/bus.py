@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping, Sequence
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import zenoh
+
+from shaper.key_expression import matches
 
 # Two buses on one machine must meet only through the link. Scouting would let them find each other,
 # and Zenoh's implicit shared memory would carry payloads of 3 kB and more around an emulated link.
@@ -55,3 +61,135 @@ def open_bus(settings: BusSettings) -> zenoh.Session:
     except zenoh.ZError as error:
         where = f"listen {list(settings.listen)}, connect {list(settings.connect)}"
         raise BusError(f"cannot open the Zenoh bus ({where}): {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class BusSample:
+    """What a local publisher put. payload: not copied yet."""
+
+    key: str
+    payload: zenoh.ZBytes
+    encoding: str
+    attachment: bytes
+    received_ns: int
+
+
+class BusInlet:
+    """Subscribes to what crosses the link and hands it to an event loop, in batches.
+
+    Zenoh calls back in threads of its own; all that happens there is a note in a deque, and one wake-up
+    of the loop for as many samples as have gathered by then.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key_expressions: Sequence[str],
+        on_samples: Callable[[], None],
+        clock_ns: Callable[[], int],
+    ) -> None:
+        self._inbox: deque[BusSample] = deque()
+        self._on_samples = on_samples
+        self._clock_ns = clock_ns
+        self._announced = False
+        distinct = _without_covered(key_expressions)
+        # Only samples of other sessions: what the shaper itself publishes must not cross back.
+        self._subscribers = [
+            session.declare_subscriber(
+                expression, self._callback(index, distinct), allowed_origin=zenoh.Locality.REMOTE
+            )
+            for index, expression in enumerate(distinct)
+        ]
+
+    def take(self) -> list[BusSample]:
+        """The samples that have gathered, oldest first."""
+        self._announced = False
+        samples = []
+        while self._inbox:
+            samples.append(self._inbox.popleft())
+        return samples
+
+    def close(self) -> None:
+        """Take no more samples."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+
+    def _callback(self, index: int, expressions: Sequence[str]) -> Callable[[zenoh.Sample], None]:
+        # Where two expressions overlap, both subscribers get the sample: the first of them owns the key.
+        overlapping = [e for e in expressions[:index] if zenoh.KeyExpr(e).intersects(expressions[index])]
+        owned: dict[str, bool] = {}
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if sample.kind != zenoh.SampleKind.PUT:
+                return
+            key = str(sample.key_expr)
+            if overlapping:
+                mine = owned.get(key)
+                if mine is None:
+                    mine = owned[key] = not any(matches(e, key) for e in overlapping)
+                if not mine:
+                    return
+            attachment = sample.attachment
+            self._inbox.append(
+                BusSample(
+                    key,
+                    sample.payload,
+                    str(sample.encoding),
+                    b"" if attachment is None else attachment.to_bytes(),
+                    self._clock_ns(),
+                )
+            )
+            if not self._announced:
+                self._announced = True
+                self._on_samples()
+
+        return on_sample
+
+
+class BusOutlet:
+    """Publishes what came over the link, from a thread of its own.
+
+    A local subscriber that does not read blocks a put for seconds; the link must not wait for it. A
+    message that finds the outlet's queue full is dropped and counted.
+    """
+
+    def __init__(self, session: zenoh.Session, max_messages: int = 1024) -> None:
+        self.dropped = 0
+        self._session = session
+        self._queue: queue.Queue[tuple[str, str, bytes, bytes] | None] = queue.Queue(max_messages)
+        self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
+        self._thread = threading.Thread(target=self._run, name="bus-outlet", daemon=True)
+        self._thread.start()
+
+    def publish(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
+        """Publish a message soon."""
+        try:
+            self._queue.put_nowait((key, encoding, payload, attachment))
+        except queue.Full:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """Publish what is queued and stop, within two seconds."""
+        with contextlib.suppress(queue.Full):
+            self._queue.put(None, timeout=1)
+        self._thread.join(timeout=1)
+
+    def _run(self) -> None:
+        while (item := self._queue.get()) is not None:
+            key, encoding, payload, attachment = item
+            publisher = self._publishers.get((key, encoding))
+            if publisher is None:
+                publisher = self._publishers[key, encoding] = self._session.declare_publisher(
+                    key,
+                    encoding=zenoh.Encoding(encoding),
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                    express=True,
+                )
+            publisher.put(payload, attachment=attachment)
+
+
+def _without_covered(key_expressions: Sequence[str]) -> list[str]:
+    distinct = list(dict.fromkeys(key_expressions))
+    return [
+        e for e in distinct if not any(other != e and zenoh.KeyExpr(other).includes(e) for other in distinct)
+    ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 from shaper.datagram import (
     HEADER_BYTES,
@@ -103,9 +103,13 @@ class Endpoint:
 
     # What happens to an endpoint.
 
-    def offer(self, key: str, payload: Payload, capture_ns: int, now_ns: int, encoding: str = "") -> None:
-        """A local publisher has a message. capture_ns: on this host's monotonic clock."""
-        self._outgoing.offer(key, payload, encoding, capture_ns, now_ns)
+    def offer(self, key: str, payload: Payload, capture_ns: int, now_ns: int, encoding: str = "") -> bool:
+        """A local publisher has a message. capture_ns: on this host's monotonic clock.
+
+        False if nothing more waits than before (dropped, or put in the place of an older sample): then
+        there is nothing to pump, which is what makes thousands of unwanted messages a second cheap.
+        """
+        return self._outgoing.offer(key, payload, encoding, capture_ns, now_ns)
 
     def receive_datagram(self, data: bytes, now_ns: int) -> None:
         """The link has brought a datagram. Malformed ones are counted, never raised."""
@@ -180,6 +184,18 @@ class Endpoint:
     def sent_ledgers(self) -> dict[str, SentLedger]:
         """Counters of the topics that this side sends, by key."""
         return self._outgoing.ledgers()
+
+    def counters_dict(self) -> dict[str, int]:
+        """Datagrams and drops that belong to no topic."""
+        incoming = self._incoming
+        return {
+            **asdict(self.counters),
+            "unmatched": self._outgoing.unmatched,
+            "refused_offers": self._outgoing.refused,
+            "refused_messages": incoming.refused if incoming else 0,
+            "unknown_topics": incoming.unknown_topics if incoming else 0,
+            "given_up": incoming.given_up if incoming else 0,
+        }
 
     def link_state(self) -> LinkState:
         """What this side believes of its sending direction."""

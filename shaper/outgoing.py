@@ -29,22 +29,24 @@ class Outgoing:
         self._ids: dict[TopicName, int] = {}
         self._confirmed: set[int] = set()
 
-    def offer(self, key: str, payload: Payload, encoding: str, capture_ns: int, now_ns: int) -> None:
-        """Queue a message, or drop it and say so in the ledger."""
+    def offer(self, key: str, payload: Payload, encoding: str, capture_ns: int, now_ns: int) -> bool:
+        """Queue a message, or drop it and say so in the ledger; whether one more waits than before."""
         try:
             queue = self._queues[key]
         except KeyError:
             queue = self._open(key)
         if queue is None:
             self.unmatched += 1
-            return
+            return False
         if len(payload) > self._max_message_bytes or len(key) + len(encoding) > MAX_NAME_BYTES:
             self.refused += 1
             queue.ledger.offered += 1
             queue.ledger.overflow += 1
-            return
-        if queue.offer(payload, encoding, capture_ns, now_ns) and not queue.active:
-            self.scheduler.activate(queue)
+            return False
+        if not queue.offer(payload, encoding, capture_ns, now_ns):
+            return False
+        self.scheduler.activate(queue)
+        return True
 
     def ledgers(self) -> dict[str, SentLedger]:
         """Counters by key, in the order in which the topics appeared."""

@@ -58,7 +58,7 @@ class TopicQueue:
         self._next_ns = -(1 << 62)  # decimation: when the next sample is due
 
     def offer(self, payload: Payload, encoding: str, capture_ns: int, now_ns: int) -> bool:
-        """Take or drop a message; True if it waits now.
+        """Take or drop a message; True if one more waits than before.
 
         While a `latest` sample waits, a newer one replaces it whatever the decimation says: the slot
         is paid for already, and what leaves is then as fresh as can be.
@@ -69,7 +69,7 @@ class TopicQueue:
         if latest and self.waiting:
             ledger.superseded += 1
             self.waiting[0] = Waiting(payload, encoding, capture_ns)
-            return True
+            return False
         period_ns = self.rule.min_period_ns
         if period_ns:
             # Half a period early is in time: a source at just the asked rate, with jitter, loses none.

@@ -1,0 +1,238 @@
+"""A shaper's configuration: TOML, checked once here, turned into the values that the core counts with."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from shaper.bus import BusSettings
+from shaper.endpoint import EndpointSettings
+from shaper.errors import ConfigError
+from shaper.incoming import Limits
+from shaper.key_expression import check_key_expression
+from shaper.link_estimator import PresetBand
+from shaper.traffic_class import DEFAULT_CLASSES, Compression, Keep, TopicRule, TrafficClass
+
+_NS_PER_MS = 1_000_000
+_NS_PER_S = 1_000_000_000
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ClassTable(_Table):
+    """[classes.NAME]: what is not given is taken from the built-in class of that name, if there is one."""
+
+    tier: Annotated[int, Field(ge=0, le=255)] | None = None
+    keep: Keep | None = None
+    ttl_ms: Annotated[float, Field(gt=0, le=86_400_000, allow_inf_nan=False)] | None = None
+    depth: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    always_send: bool | None = None
+
+
+class _TopicTable(_Table):
+    key: str
+    traffic_class: str = Field(alias="class")
+    max_hz: Annotated[float, Field(gt=0, le=100_000, allow_inf_nan=False)] | None = None
+    compression: Compression = Compression.RAW
+
+    @field_validator("key")
+    @classmethod
+    def _is_key_expression(cls, value: str) -> str:
+        return _checked_expression(value)
+
+
+class _BandTable(_Table):
+    name: str
+    rate_bps: Annotated[int, Field(ge=1000, le=10_000_000_000)]
+    one_way_delay_ms: Annotated[float, Field(ge=0, le=60_000, allow_inf_nan=False)]
+
+
+class _LinkTable(_Table):
+    side: Literal["robot", "operator"]
+    listen: str
+    peer: str
+    max_datagram_bytes: Annotated[int, Field(ge=300, le=1472)] = 1200
+    pace_ratio: Annotated[float, Field(gt=0, le=1)] = 0.95
+    bands: Annotated[list[_BandTable], Field(min_length=1)]
+    accept: list[str] = ["**"]
+
+    @field_validator("listen", "peer")
+    @classmethod
+    def _is_address(cls, value: str) -> str:
+        parse_address(value)
+        return value
+
+    @field_validator("accept")
+    @classmethod
+    def _are_key_expressions(cls, values: list[str]) -> list[str]:
+        return [_checked_expression(value) for value in values]
+
+
+class _ZenohTable(_Table):
+    mode: Literal["peer", "client", "router"] = "peer"
+    listen: list[str] = []
+    connect: list[str] = []
+    config: dict[str, Any] = {}
+
+
+class _LimitsTable(_Table):
+    max_topics: Annotated[int, Field(ge=1, le=1_000_000)] = Limits().max_topics
+    max_message_bytes: Annotated[int, Field(ge=1, le=1_000_000_000)] = Limits().max_message_bytes
+    max_reassembly_bytes: Annotated[int, Field(ge=1, le=4_000_000_000)] = Limits().max_reassembly_bytes
+    max_reassembly_wait_s: Positive = Limits().max_reassembly_wait_ns / _NS_PER_S
+
+
+class _ShaperTable(_Table):
+    link: _LinkTable
+    zenoh: _ZenohTable
+    classes: dict[str, ClassTable] = {}
+    topics: Annotated[list[_TopicTable], Field(min_length=1)]
+    limits: _LimitsTable = _LimitsTable()
+
+
+@dataclass(frozen=True, slots=True)
+class ShaperConfig:
+    """Everything that `straitlink shaper` runs on.
+
+    listen, peer: UDP (host, port) of this side and of the other. resolved: the configuration with all
+    defaults filled in, to be saved beside a result.
+    """
+
+    side: Literal["robot", "operator"]
+    listen: tuple[str, int]
+    peer: tuple[str, int]
+    bus: BusSettings
+    endpoint: EndpointSettings
+    bands: tuple[PresetBand, ...]
+    pace_ratio: float
+    resolved: dict[str, Any] = field(default_factory=dict)
+
+
+def load_config(path: Path) -> ShaperConfig:
+    """Read and check a shaper's TOML file. Raises ConfigError: file, field, value, what was expected."""
+    try:
+        values = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not TOML: {error}") from error
+    try:
+        table = _ShaperTable.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(describe_validation_error(path, error)) from error
+    return _from_table(table, path)
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """ "host:port" as (host, port). Raises ValueError with what was expected."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65_536:
+        raise ValueError(
+            f"expected host:port with a port of 1 to 65535, such as 127.0.0.1:9001, not {text!r}"
+        )
+    return host.strip("[]"), int(port)
+
+
+def class_from_table(name: str, table: ClassTable, known: dict[str, TrafficClass]) -> TrafficClass:
+    """A declared class, on top of a known one of the same name or of `state`."""
+    base = known.get(name, DEFAULT_CLASSES["state"])
+    return TrafficClass(
+        name=name,
+        tier=base.tier if table.tier is None else table.tier,
+        keep=base.keep if table.keep is None else table.keep,
+        ttl_ns=base.ttl_ns if table.ttl_ms is None else round(table.ttl_ms * _NS_PER_MS),
+        depth=base.depth if table.depth is None else table.depth,
+        always_send=base.always_send if table.always_send is None else table.always_send,
+    )
+
+
+def describe_validation_error(path: Path, error: ValidationError) -> str:
+    """Every problem on its own line: file, field, value, and what was expected."""
+    lines = []
+    for problem in error.errors():
+        where = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in problem["loc"]).lstrip(".")
+        value = json.dumps(problem["input"], default=str)
+        shown = value if len(value) <= 80 else value[:77] + "..."
+        if problem["type"] == "extra_forbidden":
+            lines.append(
+                f"{path}: {where} = {shown}: unknown key; {_known_keys(error.title, problem['loc'])}"
+            )
+        elif problem["type"] == "missing":
+            lines.append(f"{path}: {where}: is missing")
+        else:
+            reason = problem["msg"].removeprefix("Value error, ")
+            lines.append(f"{path}: {where} = {shown}: {reason[0].lower()}{reason[1:]}")
+    return "\n".join(lines)
+
+
+def _known_keys(title: str, loc: tuple[int | str, ...]) -> str:
+    """What may stand at a place, found by walking the tables down to it."""
+    table: Any = _ShaperTable if title == "_ShaperTable" else None
+    for part in loc[:-1]:
+        if table is None or isinstance(part, int):
+            continue
+        table = _TABLES.get(part, table)
+    if table is None:
+        return "see the documentation for what may stand here"
+    names = (f.alias or name for name, f in table.model_fields.items())
+    return "expected one of " + ", ".join(names)
+
+
+_TABLES: dict[str, type[BaseModel]] = {
+    "link": _LinkTable,
+    "bands": _BandTable,
+    "zenoh": _ZenohTable,
+    "classes": ClassTable,
+    "topics": _TopicTable,
+    "limits": _LimitsTable,
+}
+
+
+def _checked_expression(value: str) -> str:
+    reason = check_key_expression(value)
+    if reason is not None:
+        raise ValueError(reason)
+    return value
+
+
+def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
+    classes = dict(DEFAULT_CLASSES)
+    for name, class_table in table.classes.items():
+        classes[name] = class_from_table(name, class_table, classes)
+    rules = []
+    for index, topic in enumerate(table.topics):
+        if topic.traffic_class not in classes:
+            known = ", ".join(classes)
+            raise ConfigError(
+                f"{path}: topics[{index}].class = {topic.traffic_class!r}: expected one of {known}"
+            )
+        period_ns = 0 if topic.max_hz is None else round(_NS_PER_S / topic.max_hz)
+        rules.append(TopicRule(topic.key, classes[topic.traffic_class], period_ns, topic.compression))
+    limits = Limits(
+        table.limits.max_topics,
+        table.limits.max_message_bytes,
+        table.limits.max_reassembly_bytes,
+        round(table.limits.max_reassembly_wait_s * _NS_PER_S),
+    )
+    link = table.link
+    return ShaperConfig(
+        side=link.side,
+        listen=parse_address(link.listen),
+        peer=parse_address(link.peer),
+        bus=BusSettings(table.zenoh.listen, table.zenoh.connect, table.zenoh.mode, table.zenoh.config),
+        endpoint=EndpointSettings(tuple(rules), tuple(link.accept), link.max_datagram_bytes, limits),
+        bands=tuple(
+            PresetBand(b.name, b.rate_bps, round(b.one_way_delay_ms * _NS_PER_MS)) for b in link.bands
+        ),
+        pace_ratio=link.pace_ratio,
+        resolved=table.model_dump(mode="json", by_alias=True),
+    )

@@ -1,0 +1,167 @@
+"""The live shaper: an endpoint between the local Zenoh bus and a UDP socket, on one asyncio loop."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import signal
+import time
+from pathlib import Path
+
+from messages.attachment import Stamp, decode_stamp
+from shaper.bus import BusInlet, BusOutlet, BusSample, open_bus
+from shaper.config import ShaperConfig
+from shaper.datagram import EPOCH_BITS, IP_UDP_BYTES
+from shaper.endpoint import Endpoint, pump
+from shaper.events import Delivered, Event
+from shaper.link_estimator import PresetBands
+from shaper.trace import TraceFile
+from shaper.trace_records import (
+    LEDGER_INTERVAL_NS,
+    Direction,
+    SentBins,
+    event_record,
+    ledger_record,
+    start_record,
+)
+from shaper.udp import UdpLink
+
+_NS_PER_S = 1_000_000_000
+_OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
+_EARLIEST_CAPTURE_NS = -_NS_PER_S
+
+
+class Daemon:
+    """One side of the link, from `start` to `stop`."""
+
+    def __init__(self, config: ShaperConfig, trace_path: Path | None = None) -> None:
+        self._config = config
+        self._trace = None if trace_path is None else TraceFile(trace_path)
+        self._bins = SentBins(lambda record: self._trace.write(record) if self._trace else None)
+        self._sends: Direction = "down" if config.side == "robot" else "up"
+        self._timer: asyncio.TimerHandle | None = None
+        now_ns = time.monotonic_ns()
+        estimator = PresetBands(
+            config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES
+        )
+        epoch = secrets.randbits(EPOCH_BITS)
+        self.endpoint = Endpoint(config.endpoint, estimator, epoch, now_ns, time.time_ns())
+
+    async def run(self, stop: asyncio.Event) -> None:
+        """Carry messages until `stop` is set. Raises UdpError or BusError if it cannot start."""
+        loop = asyncio.get_running_loop()
+        self._loop = loop
+        self._link = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagram)
+        try:
+            session = await loop.run_in_executor(None, open_bus, self._config.bus)
+        except BaseException:
+            self._link.close()
+            raise
+        self._outlet = BusOutlet(session)
+        expressions = [rule.key_expression for rule in self._config.endpoint.rules]
+
+        def wake() -> None:
+            loop.call_soon_threadsafe(self._on_samples)
+
+        self._inlet = BusInlet(session, expressions, wake, time.monotonic_ns)
+        self._start_trace()
+        self._pump(time.monotonic_ns())
+        ledgers = asyncio.create_task(self._trace_ledgers())
+        try:
+            await stop.wait()
+        finally:
+            ledgers.cancel()
+            if self._timer is not None:
+                self._timer.cancel()
+            self._inlet.close()
+            self._link.close()
+            self._outlet.close()
+            session.close()
+            self._close_trace()
+
+    # What happens: the bus, the link, the timer.
+
+    def _on_samples(self) -> None:
+        now_ns = time.monotonic_ns()
+        unix_minus_monotonic_ns = time.time_ns() - now_ns
+        more = False
+        for sample in self._inlet.take():
+            capture_ns = _capture_ns(sample, unix_minus_monotonic_ns)
+            more |= self.endpoint.offer(sample.key, sample.payload, capture_ns, now_ns, sample.encoding)
+        if more:
+            self._pump(now_ns)
+
+    def _on_datagram(self, data: bytes) -> None:
+        now_ns = time.monotonic_ns()
+        self.endpoint.receive_datagram(data, now_ns)
+        self._pump(now_ns)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        now_ns = time.monotonic_ns()
+        self.endpoint.on_timer(now_ns)
+        self._pump(now_ns)
+
+    def _pump(self, now_ns: int) -> None:
+        wakeup_ns = pump(self.endpoint, now_ns, self._send, self._handle)
+        when_s = wakeup_ns / _NS_PER_S
+        if self._timer is not None:
+            if self._timer.when() == when_s:
+                return
+            self._timer.cancel()
+        self._timer = self._loop.call_at(when_s, self._on_timer)
+
+    # What comes out.
+
+    def _send(self, datagram: bytes) -> None:
+        self._link.send(datagram)
+        self._bins.on_sent(len(datagram) + IP_UDP_BYTES, time.monotonic_ns())
+
+    def _handle(self, event: Event) -> None:
+        if isinstance(event, Delivered):
+            capture_unix_ns = event.capture_unix_ns
+            if capture_unix_ns is None:
+                capture_unix_ns = time.time_ns() - (event.age_ns or 0)
+            stamp = Stamp(capture_unix_ns, event.number)
+            self._outlet.publish(event.key, event.payload, event.encoding, stamp.encode())
+        if self._trace is not None:
+            self._trace.write(event_record(event, time.monotonic_ns()))
+
+    # The trace.
+
+    def _start_trace(self) -> None:
+        if self._trace is not None:
+            self._trace.write(start_record(self._config.side, time.monotonic_ns(), time.time_ns()))
+
+    async def _trace_ledgers(self) -> None:
+        while True:
+            await asyncio.sleep(LEDGER_INTERVAL_NS / _NS_PER_S)
+            now_ns = time.monotonic_ns()
+            self.endpoint.set_wall_clock(time.time_ns(), now_ns)
+            if self._trace is not None:
+                self._trace.write(ledger_record(self.endpoint, self._sends, now_ns))
+
+    def _close_trace(self) -> None:
+        self._bins.flush()
+        if self._trace is not None:
+            self._trace.write(ledger_record(self.endpoint, self._sends, time.monotonic_ns()))
+            self._trace.close()
+
+
+def _capture_ns(sample: BusSample, unix_minus_monotonic_ns: int) -> int:
+    """When a sample was captured, on the monotonic clock: by its stamp if plausible, else its arrival."""
+    stamp = decode_stamp(sample.attachment) if sample.attachment else None
+    if stamp is None:
+        return sample.received_ns
+    capture_ns = stamp.capture_ns - unix_minus_monotonic_ns
+    age_ns = sample.received_ns - capture_ns
+    return capture_ns if _EARLIEST_CAPTURE_NS < age_ns < _OLDEST_CAPTURE_NS else sample.received_ns
+
+
+async def run_daemon(config: ShaperConfig, trace_path: Path | None = None) -> None:
+    """Run until SIGTERM or SIGINT."""
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+    await Daemon(config, trace_path).run(stop)
