@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-import signal
 import time
 from pathlib import Path
 
@@ -156,12 +155,3 @@ def _capture_ns(sample: BusSample, unix_minus_monotonic_ns: int) -> int:
     capture_ns = stamp.capture_ns - unix_minus_monotonic_ns
     age_ns = sample.received_ns - capture_ns
     return capture_ns if _EARLIEST_CAPTURE_NS < age_ns < _OLDEST_CAPTURE_NS else sample.received_ns
-
-
-async def run_daemon(config: ShaperConfig, trace_path: Path | None = None) -> None:
-    """Run until SIGTERM or SIGINT."""
-    stop = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop.set)
-    await Daemon(config, trace_path).run(stop)

@@ -9,11 +9,14 @@ from shaper.trace_records import Record
 
 
 class TraceFile:
-    """Writes records as they come; each line is handed to the kernel at once."""
+    """Appends records as they come.
 
-    def __init__(self, path: Path) -> None:
+    line_buffered: hand each line to the kernel at once, so that a kill loses none.
+    """
+
+    def __init__(self, path: Path, *, line_buffered: bool = True) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("a", buffering=1, encoding="utf-8")
+        self._file = path.open("a", buffering=1 if line_buffered else -1, encoding="utf-8")
 
     def write(self, record: Record) -> None:
         """Append one record."""
