@@ -35,7 +35,8 @@ _NANOSECONDS_MAX = 2**64 - 1  # MCAP's times are unsigned
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 _MAX_RECORD_BYTES = 1 << 30  # a longer record is a damaged length
-_DAMAGE = (McapError, ValueError, ZstdError, struct.error)  # what a damaged record makes mcap raise
+# What a damaged record makes mcap and the decompressors raise.
+_DAMAGE = (McapError, ValueError, ZstdError, struct.error, RuntimeError, MemoryError)
 
 
 class RecordError(Exception):
@@ -167,7 +168,7 @@ class Recorder:
     def close(self) -> RecordSummary:
         """Unsubscribe, write what has arrived and finish the file."""
         if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]
+            self._session.close()
         self._closing.set()
         self._writer.join()
         if self._failure is not None:
@@ -334,12 +335,12 @@ class RecordingFile:
 
     def flush(self) -> None:
         """Close the chunk in progress and hand it to the operating system."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._writer.flush()
 
     def finish(self) -> None:
         """Write the summary, and the profile now that every channel is known; close the file."""
         with self._stream:
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._writer.finish()
             if self._message_encodings == {"cdr"}:
                 self._stream.seek(0)
                 Writer(self._stream).start(*_header(ros2=True))

@@ -113,7 +113,7 @@ def replay(settings: ReplaySettings) -> ReplaySummary:
         try:
             return _Run(settings, reader, summary, _declare(session, summary, channels)).publish_all()
         finally:
-            session.close()  # type: ignore[no-untyped-call]
+            session.close()
 
 
 def topic_key(topic: str) -> str:

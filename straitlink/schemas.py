@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Protocol
 
 from google.protobuf import descriptor_pool
 from google.protobuf.descriptor import Descriptor, FileDescriptor
@@ -127,7 +127,14 @@ def _protobuf_schema(name: str) -> Schema | None:
     return Schema(name, "protobuf", file_descriptor_set(descriptor).SerializeToString(deterministic=True))
 
 
-def file_descriptor_set(descriptor: Descriptor) -> FileDescriptorSet:
+class Described(Protocol):
+    """A message's descriptor, of either protobuf implementation."""
+
+    @property
+    def file(self) -> Any: ...
+
+
+def file_descriptor_set(descriptor: Described) -> FileDescriptorSet:
     """A message's .proto file and all that it imports, imports first, as MCAP wants protobuf schemas."""
     files = FileDescriptorSet()
     seen: set[str] = set()

@@ -27,7 +27,8 @@ def write_page(run: Run, summary: Summary, out: Path) -> Path:
         title=escape(_title(run)),
         facts=_facts(run, summary),
         directions=_directions(summary),
-        topics="".join(_topic_row(row) for row in summary.topics),
+        counters="".join(_counters(row) for row in summary.topics),
+        ages="".join(_ages(row) for row in summary.topics),
         run_json=escape(json.dumps(dict(run.facts), indent=2, default=str)),
         style=(vendor / "uPlot.min.css").read_text(),
         uplot=(vendor / "uPlot.iife.min.js").read_text(),
@@ -70,11 +71,16 @@ def _directions(summary: Summary) -> str:
     return "".join(cards)
 
 
-def _topic_row(row: TopicSummary) -> str:
-    cells = [count(getattr(row, name)) for name in _COUNTERS]
-    cells.append(size(row.payload_bytes))
-    for spread in (row.one_way_delay, row.age_at_delivery, row.age_of_information):
-        cells.extend(spread_cells(spread))
-    numbers = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+def _counters(row: TopicSummary) -> str:
+    return _row(row, [*(count(getattr(row, name)) for name in _COUNTERS), size(row.payload_bytes)])
+
+
+def _ages(row: TopicSummary) -> str:
+    spreads = (row.one_way_delay, row.age_at_delivery, row.age_of_information)
+    return _row(row, [cell for spread in spreads for cell in spread_cells(spread)])
+
+
+def _row(row: TopicSummary, cells: list[str]) -> str:
     arrow = "↓" if row.direction == "down" else "↑"
+    numbers = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
     return f'<tr><th scope="row">{arrow} {escape(row.topic)}</th>{numbers}</tr>\n'

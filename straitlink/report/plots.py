@@ -132,7 +132,7 @@ def _delivered(run: Run, summary: Summary, colours: dict[str, int]) -> Plot:
         rate = np.where(counts > 0, counts / widths_s, np.nan)
         share = f" of {row.offered:,}" if row.offered is not None else ""
         series.append(_series(row.topic, rate, f"{row.delivered:,}{share}", colours[row.topic]))
-    return _plot("Delivered", "messages/s", edges_ns, series, scale="log", note="gaps: none delivered")
+    return _plot("Delivered", "/s", edges_ns, series, scale="log", note="messages per second; gaps: none")
 
 
 def _figure(spread: Spread | None) -> str:
