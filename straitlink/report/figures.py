@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .summary import Spread
 
-MISSING = "–"  # noqa: RUF001
+MISSING = "\N{EN DASH}"
 
 
 def seconds(value_ns: int | None) -> str:

@@ -28,6 +28,7 @@ from straitlink.schemas import SchemaLibrary, payload_type
 
 pytestmark = pytest.mark.live
 ROOT = Path(__file__).resolve().parents[2]
+LOGS = ROOT.parent / "shared" / "data" / "logs"
 LOG_START_NS = 1_767_225_600_000_000_000
 MS = 1_000_000
 
@@ -153,6 +154,21 @@ def test_channels_and_schemas_survive_and_rosbags_reads_the_cdr_part(tmp_path: P
     with AnyReader([recover(out, message_encodings=("cdr",))]) as reader:
         values = [reader.deserialize(data, c.msgtype).data for c, _t, data in reader.messages()]  # type: ignore[attr-defined]
     assert values == [0.5 * number for number in range(120)]
+
+
+@pytest.mark.skipif(not LOGS.is_dir(), reason="reference logs are not beside the repository")
+def test_a_real_log_survives_at_sixteen_times_its_pace_and_opens_as_a_ros2_bag(tmp_path: Path) -> None:
+    log, out = LOGS / "tilt_laser_ros2.mcap", tmp_path / "out.mcap"
+    replayed, recorded = replay_into_recorder(log, out, logs=(log,), rate=16.0)
+    assert replayed.messages == recorded.messages == 3025
+    sent, got = messages_by_topic(log), messages_by_topic(out)
+    assert {t: [m.data for m in ms] for t, ms in got.items()} == {
+        t: [m.data for m in ms] for t, ms in sent.items()
+    }
+    with AnyReader([out]) as reader:
+        [scans] = [connection for connection in reader.connections if connection.topic == "/scan"]
+        _connection, _t, data = next(reader.messages([scans]))
+        assert len(reader.deserialize(data, scans.msgtype).ranges) == 1078  # type: ignore[attr-defined]
 
 
 def test_a_recorder_killed_outright_leaves_all_but_the_last_second(tmp_path: Path) -> None:
