@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from netem_scripts.band import Band, DirectionProfile, JitterShape, ProfileError
+from netem_scripts.profile_file import profile_from_dict, profile_to_dict, read_profile
+from netem_scripts.profiles import load_profile, profile_named
+
+S = 1_000_000_000
+MS = 1_000_000
+ROOT = Path(__file__).resolve().parents[2]
+BAND = "duration_s = 2.5\nrate_bps = 64000\none_way_delay_ms = 12.5\n"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "link.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_trials_alternate_both_directions_each_minute_behind_10_s_of_buffer() -> None:
+    profile = profile_named("trials")
+    bands = (Band(60 * S, 1_000_000, 50 * MS), Band(60 * S, 100_000, 500 * MS))
+    assert profile.down == profile.up == DirectionProfile(bands, cyclic=True, buffer_ns=10 * S)
+
+
+def test_the_swapped_trials_have_the_same_rates_and_the_other_delays() -> None:
+    bands = profile_named("trials-swapped").down.bands
+    assert [(b.rate_bps, b.one_way_delay_ns) for b in bands] == [(1_000_000, 500 * MS), (100_000, 50 * MS)]
+
+
+@pytest.mark.parametrize(
+    ("name", "rate_bps", "delay_ns"),
+    [
+        ("constant-100k-500ms", 100_000, 500 * MS),
+        ("constant-1m-50ms", 1_000_000, 50 * MS),
+        ("constant-9600-0ms", 9_600, 0),
+        ("constant-1.5m-2.5ms", 1_500_000, 2_500_000),
+    ],
+)
+def test_a_constant_profile_is_read_from_its_name(name: str, rate_bps: int, delay_ns: int) -> None:
+    profile = profile_named(name)
+    assert profile.name == name
+    (band,) = profile.down.bands
+    assert (band.rate_bps, band.one_way_delay_ns) == (rate_bps, delay_ns)
+
+
+@pytest.mark.parametrize("name", ["trails", "constant", "constant-100k", "constant--1k-5ms", ""])
+def test_an_unknown_name_is_answered_with_what_exists(name: str) -> None:
+    with pytest.raises(
+        ProfileError, match=f'no link profile "{name}"; there are trials, trials-swapped, constant-'
+    ):
+        profile_named(name)
+
+
+def test_a_constant_profile_of_no_rate_is_refused() -> None:
+    with pytest.raises(ProfileError, match="rate_bps = 0 in the last band would hold its queue for ever"):
+        profile_named("constant-0-50ms")
+
+
+def test_bands_at_the_top_apply_to_both_directions(tmp_path: Path) -> None:
+    profile = load_profile(written(tmp_path, f"buffer_s = 0.1\n[[band]]\n{BAND}"))
+    assert profile.name == "link"
+    assert profile.down == profile.up
+    assert profile.down == DirectionProfile((Band(2_500 * MS, 64_000, 12_500_000),), buffer_ns=100 * MS)
+
+
+def test_a_direction_replaces_what_it_says_itself(tmp_path: Path) -> None:
+    text = f"cyclic = true\nbuffer_bytes = 5000\n[up]\nbuffer_bytes = 900\n[[up.band]]\n{BAND}[[down.band]]\n{BAND}jitter_ms = 3\njitter_shape = 'uniform'\n"
+    profile = read_profile(written(tmp_path, text))
+    assert (profile.down.buffer_bytes, profile.up.buffer_bytes) == (5000, 900)
+    assert profile.down.cyclic and profile.up.cyclic
+    assert profile.down.bands[0].jitter_ns == 3 * MS
+    assert profile.down.bands[0].jitter_shape is JitterShape.UNIFORM
+    assert profile.up.bands[0].jitter_ns == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (f"[[band]]\n{BAND}lossratio = 0.1\n", r"band\.0\.lossratio = 0\.1: extra inputs are not permitted"),
+        (f"[[band]]\n{BAND}loss_ratio = 1.5\n", r"band\.0\.loss_ratio = 1\.5: .* less than or equal to 1"),
+        (f"[[band]]\n{BAND}jitter_ms = inf\n", r"band\.0\.jitter_ms = inf: "),
+        (f"[[band]]\n{BAND}jitter_ms = nan\n", r"band\.0\.jitter_ms = nan: "),
+        (
+            "[[band]]\nduration_s = 1\nrate_bps = '1M'\none_way_delay_ms = 1\n",
+            r"band\.0\.rate_bps = '1M': .*integer",
+        ),
+        ("[[band]]\nduration_s = 1\nrate_bps = 1000\n", r"band\.0\.one_way_delay_ms: field required"),
+        ("[[band]]\nduration_s = 1\nrate_bps = 0\none_way_delay_ms = 1\n", "rate_bps = 0 in the last band"),
+        (f"[[down.band]]\n{BAND}", r"up\.band has no entry"),
+        (f"[[band]]\n{BAND}[[down.band]]\n{BAND}[[up.band]]\n{BAND}", "band is never used"),
+        ("buffer_s = 0\n", "buffer_s = 0: .*greater than 0"),
+        ("[[band]\n", "is not TOML"),
+    ],
+)
+def test_a_mistake_in_a_file_is_named_with_file_field_value_and_bound(
+    tmp_path: Path, text: str, complaint: str
+) -> None:
+    with pytest.raises(ProfileError, match=rf"link\.toml: .*{complaint}"):
+        read_profile(written(tmp_path, text))
+
+
+def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ProfileError, match=r"none\.toml: the link profile cannot be read: No such file"):
+        load_profile(str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize("name", ["trials", "trials-swapped", "constant-9600-20ms"])
+def test_a_saved_profile_reads_back_the_same(name: str) -> None:
+    profile = profile_named(name)
+    assert profile_from_dict(profile_to_dict(profile), where="saved", name="other") == profile
+
+
+def test_the_example_in_the_documentation_is_a_profile() -> None:
+    document = (ROOT / "docs" / "link.md").read_text(encoding="utf-8")
+    example = document.split("```toml\n")[1].split("```")[0]
+    profile = profile_from_dict(tomllib.loads(example), where="docs/link.md", name="example")
+    assert [band.rate_bps for band in profile.down.bands] == [1_000_000, 0, 200_000]
+    assert profile.up.bands[0].loss_ratio == 0.02
+    assert (profile.down.buffer_ns, profile.up.buffer_bytes) == (10 * S, 5_000)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"duration_ns": 0}, "duration_ns = 0 must be greater than 0"),
+        ({"rate_bps": -1}, "rate_bps = -1 must be at least 0"),
+        ({"loss_ratio": 1.01}, "loss_ratio = 1.01 must be between 0 and 1"),
+        ({"duplicate_ratio": float("nan")}, "duplicate_ratio = nan must be between 0 and 1"),
+    ],
+)
+def test_a_band_that_makes_no_sense_is_refused(change: dict[str, float], complaint: str) -> None:
+    values: dict[str, float] = {"duration_ns": S, "rate_bps": 1, "one_way_delay_ns": 1, **change}
+    with pytest.raises(ProfileError, match=complaint):
+        Band(**values)  # type: ignore[arg-type]
+
+
+def test_a_cycle_that_never_serves_is_refused() -> None:
+    with pytest.raises(ProfileError, match="rate_bps = 0 in every band"):
+        DirectionProfile((Band(S, 0, 0), Band(S, 0, 0)), cyclic=True)
