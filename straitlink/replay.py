@@ -86,7 +86,11 @@ class ReplaySettings:
 
 @dataclass(frozen=True, slots=True)
 class ReplaySummary:
-    """What was published. Lateness is how long after its due time a message was handed to Zenoh."""
+    """What was published, over so many whole passes.
+
+    Lateness is how long after its due time a message was handed to Zenoh. unmatched_topics had no
+    subscriber when the replay began.
+    """
 
     messages: int
     payload_bytes: int
@@ -309,8 +313,8 @@ class _Run:
         while not stop.is_set() and (self.settings.loop == 0 or self.passes < self.settings.loop):
             shift_ns = self.passes * pass_ns
             current = _Pass(self.settings, self.start_ns, started_ns + shift_ns, wall_ns + shift_ns)
-            self._publish(current)
-            self.passes += 1
+            if self._publish(current):
+                self.passes += 1
         return ReplaySummary(
             messages=self.messages,
             payload_bytes=self.payload_bytes,
@@ -324,7 +328,8 @@ class _Run:
             stopped=stop.is_set(),
         )
 
-    def _publish(self, current: _Pass) -> None:
+    def _publish(self, current: _Pass) -> bool:
+        """False where a stop cuts the pass short."""
         topics = {outlet.topic for outlet in self.outlets.values()}
         records = self.reader.iter_messages(topics, starting_at=self.start_ns, ending_before=self.end_ns)
         for _schema, _channel, message in records:
@@ -334,7 +339,7 @@ class _Run:
             offset_ns = current.offset_ns(message.log_time)
             due_ns = current.origin_ns + offset_ns
             if not self._wait_until(due_ns):
-                return
+                return False
             capture_ns = current.capture_ns(message, offset_ns)
             sequence = outlet.next_sequence(message.sequence, first_pass=self.passes == 0)
             outlet.publisher.put(message.data, attachment=Stamp(capture_ns, sequence).encode())
@@ -344,6 +349,7 @@ class _Run:
             self.lateness.add(now_ns - due_ns)
             if now_ns >= self.progress_at_ns:
                 self._report(message.log_time, now_ns)
+        return True
 
     def _wait_until(self, due_ns: int) -> bool:
         """False once a stop is requested."""

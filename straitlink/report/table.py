@@ -48,7 +48,7 @@ def _name(row: TopicSummary) -> str:
 
 
 def _topics(title: str, columns: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(title=title, title_justify="left", box=SIMPLE, padding=0, pad_edge=False)
     table.add_column("topic", no_wrap=True)
     for name in columns:
         table.add_column(name, justify="right", no_wrap=True)
@@ -56,7 +56,7 @@ def _topics(title: str, columns: Sequence[str]) -> Table:
 
 
 def _directions(summary: Summary) -> Table:
-    table = Table(title="Link", title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(title="Link", title_justify="left", box=SIMPLE, padding=0, pad_edge=False)
     table.add_column("way")
     for name in ("on the wire", "could carry", "used", "packets", "dropped"):
         table.add_column(name, justify="right")

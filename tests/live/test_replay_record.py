@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import signal
 import socket
@@ -197,3 +198,18 @@ def test_a_recorder_killed_outright_leaves_all_but_the_last_second(tmp_path: Pat
     for topic in ("/joints", "/temperature", "/status"):
         assert len(got[topic]) >= 190
         assert [m.data for m in got[topic]] == [m.data for m in sent[topic][: len(got[topic])]]
+
+
+def test_a_second_pass_follows_the_first_and_a_stop_ends_it(tmp_path: Path) -> None:
+    log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
+    write_log(log)
+    replayed, _ = replay_into_recorder(log, out, include=("/joints",), loop=2, rate=4.0)
+    joints = messages_by_topic(out)["/joints"]
+    assert (replayed.passes, replayed.messages, len(joints)) == (2, 240, 240)
+    assert [m.sequence for m in joints] == list(range(7, 247))
+    assert all(later.publish_time > earlier.publish_time for earlier, later in itertools.pairwise(joints))
+
+    stop = threading.Event()
+    threading.Timer(0.3, stop.set).start()
+    endless, _ = replay_into_recorder(log, out, loop=0, stop=stop)
+    assert endless.stopped and endless.passes == 0 and 0 < endless.messages < 360
