@@ -85,6 +85,17 @@ def test_the_delay_is_that_of_the_band_in_which_the_packet_leaves_the_queue() ->
     assert last.departure_ns == S + 10 * MS
 
 
+def test_a_packet_whose_last_bit_leaves_as_its_band_ends_has_that_band_s_delay() -> None:
+    link = link_of(fast(1), Band(5 * MS, 1_000_000, 200 * MS), slow())
+    assert link.transmit(PAYLOAD_BYTES, S - 5 * MS).arrivals_ns == (S + 205 * MS,)
+
+
+def test_order_is_kept_again_after_a_band_that_reorders() -> None:
+    link = link_of(slow(1), fast(0.01, reorder=True), fast())
+    passages = offer(link, 12)  # 10 in the slow second, one in each of the others
+    assert [p.arrivals_ns for p in passages[9:]] == [(1500 * MS,), (1060 * MS,), (1500 * MS,)]
+
+
 def test_a_packet_waits_for_earlier_ones_when_the_delay_drops() -> None:
     passages = offer(link_of(slow(1), fast()), 11)
     assert passages[9].arrivals_ns == (1500 * MS,)
@@ -120,6 +131,25 @@ def test_a_packet_cut_by_a_blackout_is_finished_after_it() -> None:
 def test_a_buffer_in_seconds_keeps_the_rate_before_the_blackout() -> None:
     link = link_of(fast(1), hold(5), slow(), buffer_ns=100 * MS)
     assert [p.drop for p in offer(link, 11, now_ns=2 * S)] == [None] * 10 + [DropReason.OVERFLOW]
+
+
+def test_a_buffer_in_seconds_keeps_the_rate_of_the_last_cycle_in_a_blackout_at_its_start() -> None:
+    for now_ns in (0, 7 * S):
+        link = link_of(hold(5), fast(1), slow(1), cyclic=True, buffer_ns=200 * MS)
+        assert sum(p.drop is None for p in offer(link, 30, now_ns)) == 2  # of the 100 kbit/s before it
+
+
+def test_a_buffer_in_seconds_holds_fewer_bytes_at_a_lower_rate() -> None:
+    link = link_of(fast(1), slow(), buffer_ns=200 * MS)
+    assert sum(p.drop is None for p in offer(link, 30)) == 20
+    assert sum(p.drop is None for p in offer(link, 30, now_ns=S)) == 2
+
+
+def test_a_packet_is_in_transit_until_the_instant_of_its_arrival() -> None:
+    link = link_of(fast())
+    offer(link, 1)
+    before, at = link.totals(60 * MS - 1), link.totals(60 * MS)
+    assert (before.in_transit, before.delivered, at.in_transit, at.delivered) == (1, 0, 0, 1)
 
 
 def test_a_blackout_of_full_loss_drops_and_takes_capacity() -> None:
