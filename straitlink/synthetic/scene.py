@@ -76,11 +76,11 @@ def _terrain(random: np.random.Generator) -> Iterator[Box]:
     """Stacks of one to three blocks on a grid; the top block of some lies tilted on a wedge."""
     for side in (-1.0, 1.0):
         for column in range(9):
-            for row in range(5):
+            for row in range(4):
                 x = 1.7 + CELL_M * column
                 y = side * (CORRIDOR_HALF_WIDTH_M + CELL_M * (row + 0.5))
                 # Higher away from the corridor and towards the middle, as a mound is.
-                mound = 0.6 * row + 1.2 * np.sin(np.pi * (column + 0.5) / 9) - 0.6
+                mound = 0.75 * row + 1.2 * np.sin(np.pi * (column + 0.5) / 9) - 0.6
                 levels = int(np.clip(np.round(mound + random.normal(0.0, 0.6)), 0, 3))
                 if levels > 0:
                     yield from _stack(x, y, levels, random)

@@ -13,11 +13,11 @@ from straitlink.synthetic.settings import Texture
 
 Image = NDArray[np.uint8]
 
-TEXELS_PER_M = 512
+TEXELS_PER_M = 384  # more than the head camera resolves 1.6 m away, nearer than which it hardly comes
 SIDE_M = 2.0  # of the square that a texture covers
 _SIDE = int(TEXELS_PER_M * SIDE_M)
 _LEVELS = 7
-_SHADES = 12
+_SHADES = 8
 _STREAM = 104
 
 
@@ -37,8 +37,8 @@ class Look:
 # Tuned at JPEG quality 85 to the bytes per pixel of real recordings: KITTI outdoors 0.265, a
 # humanoid's head camera indoors 0.115.
 LOOKS: dict[Texture, Look] = {
-    "busy": Look(grain=22.0, mottle=16.0, noise=3.0),
-    "indoor": Look(grain=4.0, mottle=6.0, noise=0.8),
+    "busy": Look(grain=13.0, mottle=14.0, noise=2.0),
+    "indoor": Look(grain=2.5, mottle=4.0, noise=0.6),
 }
 _COLOURS_BGR = {
     "floor": (128, 132, 135),
@@ -76,6 +76,13 @@ def shaded(kind: str, preset: Texture, seed: int, level: int, shade: int) -> Ima
     """One level of a pyramid under one of the lights: shade in 0.._SHADES."""
     image: Image = cv2.convertScaleAbs(texture_pyramid(kind, preset, seed)[level], alpha=shade / _SHADES)
     return image
+
+
+@lru_cache(maxsize=128)
+def mean_colour(kind: str, preset: Texture, seed: int, shade: int) -> Image:
+    """(3,) BGR: what is left of a texture from far away."""
+    colour: Image = shaded(kind, preset, seed, _LEVELS - 1, shade).mean(axis=(0, 1)).astype(np.uint8)
+    return colour
 
 
 def shade_of(light_ratio: float) -> int:
