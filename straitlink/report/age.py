@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .run import Deliveries, Times
+from .run import Deliveries, Times, known
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ def sawtooth(deliveries: Deliveries, end_ns: int) -> Sawtooth | None:
 
     None where nothing was delivered before end_ns.
     """
-    inside = deliveries.t_ns < end_ns
+    inside = (deliveries.t_ns < end_ns) & known(deliveries.age_ns)
     begin_ns = deliveries.t_ns[inside]
     if not begin_ns.size:
         return None

@@ -64,8 +64,7 @@ def _throughput(run: Run, row: DirectionSummary, edges_ns: Times) -> Plot:
 def _carried(run: Run, side: str) -> tuple[Times, Times]:
     packets = run.packets.get(side)
     if packets is not None:
-        through = ~packets.dropped
-        return packets.t_ns[through], packets.wire_bytes[through]
+        return packets.carried(run.duration_ns)
     return run.departures[side].t_ns, run.departures[side].wire_bytes
 
 

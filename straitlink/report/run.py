@@ -12,7 +12,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from .traces import Traces, read_traces
+from .traces import UNKNOWN_NS, Traces, read_traces
 
 Times = NDArray[np.int64]
 DIRECTIONS = ("down", "up")  # down: robot to operator
@@ -26,7 +26,8 @@ class ReportError(Exception):
 class Deliveries:
     """A topic's deliveries in order of time, (N,) int64 each, nanoseconds from the start of the run.
 
-    one_way_delay_ns is empty where the source does not tell it (a recording).
+    age_ns and one_way_delay_ns are UNKNOWN_NS where the receiver could not tell yet; one_way_delay_ns
+    is empty where the source never tells it (a recording).
     """
 
     t_ns: Times
@@ -35,14 +36,25 @@ class Deliveries:
     payload_bytes: Times
 
 
+def known(values_ns: Times) -> NDArray[np.bool_]:
+    """Which delays or ages the receiver could tell."""
+    return np.asarray(values_ns != UNKNOWN_NS, np.bool_)
+
+
 @dataclass(frozen=True, slots=True)
 class Packets:
-    """Packets offered to the link, (N,) each: what the emulator did with them."""
+    """Packets offered to the link, (N,) each: what the emulator did with them; t_ns is their entry."""
 
     t_ns: Times
     wire_bytes: Times
     queue_delay_ns: Times
     dropped: NDArray[np.bool_]
+
+    def carried(self, end_ns: int) -> tuple[Times, Times]:
+        """(t_ns, wire_bytes) of packets whose sending onto the link began before end_ns, when it did."""
+        begun_ns = self.t_ns + self.queue_delay_ns
+        through = ~self.dropped & (begun_ns < end_ns)
+        return begun_ns[through], self.wire_bytes[through]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .age import sawtooth
-from .run import DIRECTIONS, Run, Times
+from .run import DIRECTIONS, Run, Times, known
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ def _topic(run: Run, topic: str) -> TopicSummary:
 def _direction(run: Run, side: str) -> DirectionSummary:
     packets, departures, bands = run.packets.get(side), run.departures.get(side), run.bands.get(side)
     if packets is not None:
-        wire_bytes = int(packets.wire_bytes[~packets.dropped].sum())
+        wire_bytes = int(packets.carried(run.duration_ns)[1].sum())
     else:
         wire_bytes = int(departures.wire_bytes.sum()) if departures is not None else 0
     capacity_bytes = None if bands is None else round(bands.integral(run.duration_ns) / 8)
@@ -121,7 +121,8 @@ def _direction(run: Run, side: str) -> DirectionSummary:
 
 
 def spread(values_ns: Times) -> Spread | None:
-    """The spread of observed values, each counted once; None without values."""
+    """The spread of known values, each counted once; None without any."""
+    values_ns = values_ns[known(values_ns)]
     if not values_ns.size:
         return None
     p50, p95 = np.percentile(values_ns, (50, 95), method="inverted_cdf")

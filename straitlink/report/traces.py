@@ -12,6 +12,7 @@ from typing import Any
 Rows = dict[str, list[tuple[int, ...]]]
 Event = dict[str, Any]
 
+UNKNOWN_NS = -(2**63)  # a delay that the receiver could not tell yet (null in the trace)
 _SENDS = {"robot": "down", "operator": "up"}  # the direction that a side sends into
 _RECEIVES = {"robot": "up", "operator": "down"}
 _COUNTED_BY_SENDER = ("offered", "decimated", "superseded", "expired", "overflow", "sent", "sent_bytes")
@@ -128,7 +129,10 @@ class _TraceFile:
             self.begin = (event["t_ns"], event["unix_ns"])
 
     def _delivered(self, event: Event, t_ns: int) -> None:
-        row = (t_ns, event["age_ns"], event["one_way_delay_ns"], event["payload_bytes"])
+        age_ns, delay_ns = (
+            UNKNOWN_NS if event[name] is None else event[name] for name in ("age_ns", "one_way_delay_ns")
+        )
+        row = (t_ns, age_ns, delay_ns, event["payload_bytes"])
         if not all(isinstance(value, int) for value in row):
             raise TypeError(f"delivered: {row} must be integers")
         self.traces.topics.setdefault(event["topic"], _RECEIVES[self.side])

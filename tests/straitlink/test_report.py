@@ -130,6 +130,28 @@ def test_the_link_is_judged_by_what_passed_it_and_its_true_rate(tmp_path: Path) 
     assert (up.wire_bytes, up.capacity_bytes, up.utilisation) == (900, None, None)
 
 
+def test_bytes_still_waiting_when_the_run_ends_were_not_carried(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    link = Trace.__new__(Trace)
+    link.path, link.clock_ns = tmp_path / "link.jsonl", LINK_NS
+    link.event("packet", 9.5, direction="down", wire_bytes=500, queue_delay_ns=S, dropped=None)
+    link.event("packet", 9.5, direction="down", wire_bytes=77, queue_delay_ns=S // 4, dropped=None)
+    assert summary_of(tmp_path)[0].directions[0].wire_bytes == 99_077
+
+
+def test_a_delivery_whose_age_nobody_knows_yet_counts_as_delivered_only(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    operator = Trace.__new__(Trace)
+    operator.path, operator.clock_ns = tmp_path / "operator.jsonl", OPERATOR_NS
+    early = {"number": 0, "payload_bytes": 100, "age_ns": None, "one_way_delay_ns": None}
+    before = summary_of(tmp_path)[1]["heartbeat"]
+    operator.event("delivered", 0.1, topic="heartbeat", **early)
+    after = summary_of(tmp_path)[1]["heartbeat"]
+    assert (after.delivered, after.payload_bytes) == (11, 1100)
+    assert after.one_way_delay == before.one_way_delay
+    assert after.age_of_information == before.age_of_information
+
+
 def test_three_clocks_are_put_on_one_time_line(tmp_path: Path) -> None:
     write_run(tmp_path)
     run = read_run(tmp_path)
