@@ -14,6 +14,8 @@ import zenoh
 
 from shaper.key_expression import matches
 
+Session = zenoh.Session
+
 # Two buses on one machine must meet only through the link. Scouting would let them find each other,
 # and Zenoh's implicit shared memory would carry payloads of 3 kB and more around an emulated link.
 _ISOLATION: dict[str, object] = {
@@ -28,12 +30,14 @@ class BusSettings:
     """Where a session of the local bus listens and connects.
 
     listen, connect: Zenoh endpoints such as "tcp/127.0.0.1:7447".
+    mode: "router", "peer" or "client"; None for a router where it listens (all that connect to it see
+    each other) and a client where it only connects (and connects again when the router was away).
     options: Zenoh's own configuration by path ("transport/link/tx/queue/size/data"), passed through.
     """
 
     listen: Sequence[str] = ()
     connect: Sequence[str] = ()
-    mode: str = "peer"
+    mode: str | None = None
     options: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -45,7 +49,7 @@ def open_bus(settings: BusSettings) -> zenoh.Session:
     """Open an isolated session: explicit endpoints only, no scouting, no shared memory."""
     config = zenoh.Config()
     values: dict[str, object] = {
-        "mode": settings.mode,
+        "mode": settings.mode or ("router" if settings.listen else "client"),
         **_ISOLATION,
         "listen/endpoints": list(settings.listen),
         "connect/endpoints": list(settings.connect),

@@ -78,7 +78,7 @@ class _LinkTable(_Table):
 
 
 class _ZenohTable(_Table):
-    mode: Literal["peer", "client", "router"] = "peer"
+    mode: Literal["peer", "client", "router"] | None = None
     listen: list[str] = []
     connect: list[str] = []
     config: dict[str, Any] = {}

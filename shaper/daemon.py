@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import logging
 import secrets
 import time
 from pathlib import Path
 
 from messages.attachment import Stamp, decode_stamp
-from shaper.bus import BusInlet, BusOutlet, BusSample, open_bus
+from shaper.bus import BusError, BusInlet, BusOutlet, BusSample, Session, open_bus
 from shaper.config import ShaperConfig
 from shaper.datagram import EPOCH_BITS, IP_UDP_BYTES
 from shaper.endpoint import Endpoint, pump
@@ -26,8 +28,11 @@ from shaper.trace_records import (
 from shaper.udp import UdpLink
 
 _NS_PER_S = 1_000_000_000
+_BUS_RETRY_S = 1.0
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
+
+_log = logging.getLogger(__name__)
 
 
 class Daemon:
@@ -52,10 +57,13 @@ class Daemon:
         self._loop = loop
         self._link = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagram)
         try:
-            session = await loop.run_in_executor(None, open_bus, self._config.bus)
-        except BaseException:
+            session = await self._open_bus(stop)
+        except BusError:
             self._link.close()
             raise
+        if session is None:  # asked to stop while the bus was not there yet
+            self._link.close()
+            return
         self._outlet = BusOutlet(session)
         expressions = [rule.key_expression for rule in self._config.endpoint.rules]
 
@@ -77,6 +85,19 @@ class Daemon:
             self._outlet.close()
             session.close()
             self._close_trace()
+
+    async def _open_bus(self, stop: asyncio.Event) -> Session | None:
+        """The local bus; one that we only connect to may come up later than we do."""
+        while not stop.is_set():
+            try:
+                return await self._loop.run_in_executor(None, open_bus, self._config.bus)
+            except BusError as error:
+                if self._config.bus.listen:
+                    raise
+                _log.warning("%s; trying again", error)
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(stop.wait(), _BUS_RETRY_S)
+        return None
 
     # What happens: the bus, the link, the timer.
 

@@ -26,6 +26,10 @@ def check_key_expression(text: str) -> str | None:
             return "a wildcard is a whole chunk (* or **) or $* inside one"
         if "$" in chunk.replace("$*", ""):
             return "$ stands only before * in a key expression"
+        if chunk == "$*" or "$*$*" in chunk:
+            return "$* stands beside other characters of its chunk, once in each place; a whole chunk is *"
+    if re.search(r"(^|/)\*\*/\*", text):
+        return "** is not followed by * or **: write */** for one chunk or more"
     return None
 
 
@@ -43,6 +47,8 @@ def _pattern(expression: str) -> re.Pattern[str]:
             pieces.append(r"(?:/(?!@)[^/]+)*")
         elif chunk == "*":
             pieces.append(r"/(?!@)[^/]+")
+        elif chunk.startswith("@"):
+            pieces.append("/" + re.escape(chunk))
         else:
             inside = "[^/]*".join(re.escape(part) for part in chunk.split("$*"))
             verbatim_guard = "(?!@)" if chunk.startswith("$*") else ""

@@ -1,14 +1,28 @@
-"""Which exceptions are the user's to read: one line and exit code 2, no traceback."""
+"""Which exceptions are the user's to read: one line, no traceback."""
 
 from __future__ import annotations
 
 
-def user_errors() -> tuple[type[BaseException], ...]:
-    """The base classes of the packages' own errors, imported only when one has been raised."""
+def user_errors() -> tuple[type[Exception], ...]:
+    """The base classes of the packages' own errors; imported only when something was raised."""
     from netem_scripts.band import ProfileError
     from netem_scripts.udp_proxy import ProxyError
     from shaper.bus import BusError
     from shaper.errors import ShaperError
     from shaper.udp import UdpError
+    from straitlink.demo.errors import DemoError
+    from straitlink.record import RecordError
+    from straitlink.replay import ReplayError
+    from straitlink.report import ReportError
 
-    return (ShaperError, BusError, UdpError, ProfileError, ProxyError)
+    return (
+        ShaperError,
+        BusError,
+        UdpError,
+        ProfileError,
+        ProxyError,
+        DemoError,
+        ReplayError,
+        RecordError,
+        ReportError,
+    )

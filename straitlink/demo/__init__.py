@@ -1,0 +1,5 @@
+"""The demonstration: both buses, both shapers and the link as processes, a mission through them."""
+
+from straitlink.demo.demo import DemoSettings, run_demo
+
+__all__ = ["DemoSettings", "run_demo"]

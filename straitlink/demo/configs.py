@@ -1,0 +1,96 @@
+"""The shapers' configurations of a demonstration: the examples, moved to free ports."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from netem_scripts.band import Profile
+from straitlink.demo.log_topics import LogTopic
+from straitlink.mission.mission import preset_bands
+
+_NS_PER_MS = 1_000_000
+_SMALL_BYTES = 2048  # up to this a message is state, beyond it is perception
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """Loopback ports, all free a moment ago. UDP: shaper <-> link; TCP: the two buses."""
+
+    robot_shaper: str
+    operator_shaper: str
+    link_robot: str
+    link_operator: str
+    robot_bus: str
+    operator_bus: str
+
+
+def free_addresses() -> Addresses:
+    """Ports that nobody uses, found by asking the kernel."""
+    kinds = [socket.SOCK_DGRAM] * 4 + [socket.SOCK_STREAM] * 2
+    sockets = [socket.socket(socket.AF_INET, kind) for kind in kinds]
+    try:
+        for each in sockets:
+            each.bind(("127.0.0.1", 0))
+        names = [f"127.0.0.1:{each.getsockname()[1]}" for each in sockets]
+    finally:
+        for each in sockets:
+            each.close()
+    return Addresses(*names[:4], *(f"tcp/{name}" for name in names[4:]))
+
+
+def write_configs(
+    folder: Path, addresses: Addresses, profile: Profile, log_topics: tuple[LogTopic, ...] | None
+) -> None:
+    """Write robot.toml and operator.toml. log_topics: of a foreign log, None for the synthetic one."""
+    robot, operator = _example("robot"), _example("operator")
+    _move(robot, addresses.robot_shaper, addresses.link_robot, addresses.robot_bus)
+    _move(operator, addresses.operator_shaper, addresses.link_operator, addresses.operator_bus)
+    _set_bands(robot, profile, "down")
+    _set_bands(operator, profile, "up")
+    if log_topics is not None:
+        robot["topics"] = _rules(log_topics)
+        operator["link"]["accept"] = ["**"]
+    for side, document in (("robot", robot), ("operator", operator)):
+        (folder / f"{side}.toml").write_text(tomlkit.dumps(document))
+
+
+def _example(side: str) -> Any:
+    return tomlkit.parse((files("straitlink.demo") / f"{side}.toml").read_text())
+
+
+def _move(document: Any, listen: str, peer: str, bus: str) -> None:
+    document["link"]["listen"] = listen
+    document["link"]["peer"] = peer
+    document["zenoh"] = {"connect": [bus]}
+
+
+def _set_bands(document: Any, profile: Profile, sends: Any) -> None:
+    bands = tomlkit.aot()
+    for preset in preset_bands(profile, sends):
+        band = tomlkit.table()
+        band["name"] = preset.name
+        band["rate_bps"] = preset.rate_bps
+        band["one_way_delay_ms"] = preset.one_way_delay_ns / _NS_PER_MS
+        bands.append(band)
+    document["link"]["bands"] = bands
+
+
+def _rules(topics: tuple[LogTopic, ...]) -> Any:
+    """Rules for a log that nobody has described: small messages are state, large ones perception."""
+    rules = tomlkit.aot()
+    for topic in topics:
+        rule = tomlkit.table()
+        rule.add(tomlkit.comment(f"{topic.mean_bytes} B at {topic.rate_hz:.1f} Hz in the log"))
+        rule["key"] = topic.key
+        small = topic.mean_bytes <= _SMALL_BYTES
+        rule["class"] = "state" if small else "perception"
+        rule["max_hz"] = 5 if small else 2
+        rule["compression"] = "zstd"
+        rules.append(rule)
+    return rules
