@@ -31,7 +31,7 @@ HEAD_FRAME = "head_camera_optical_frame"
 CHEST_FRAME = "chest_camera_optical_frame"
 _HEAD_FIELD_OF_VIEW_RAD = np.deg2rad(80.0)  # MultiSense SL, 1024x544
 _CHEST_FIELD_OF_VIEW_RAD = np.deg2rad(110.0)
-_LIGHT_CAMERA_RATE_HZ = 4.0  # drawing is what a light log spends its time on
+_LIGHT_CAMERA_RATE_HZ = 2.5  # drawing is what a light log spends its time on
 
 
 def head_camera(settings: SyntheticSettings) -> Pinhole:
