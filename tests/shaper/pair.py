@@ -177,7 +177,7 @@ class Pair:
 
     def next_ns(self) -> int:
         arrivals = [at_ns for side in (self.robot, self.operator) for at_ns, _ in side.underway]
-        return min(arrivals + [self.robot.wakeup_ns, self.operator.wakeup_ns])
+        return min([*arrivals, self.robot.wakeup_ns, self.operator.wakeup_ns])
 
     def forget_history(self) -> None:
         for side in (self.robot, self.operator):

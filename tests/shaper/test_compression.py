@@ -1,3 +1,5 @@
+import contextlib
+
 import pytest
 import zstandard
 from hypothesis import given
@@ -10,7 +12,11 @@ from shaper.traffic_class import Compression
 LIMIT = 100_000
 
 
-@given(st.one_of(st.binary(max_size=500), st.builds(lambda b, n: b * n, st.binary(max_size=9), st.integers(0, 900))))
+@given(
+    st.one_of(
+        st.binary(max_size=500), st.builds(lambda b, n: b * n, st.binary(max_size=9), st.integers(0, 900))
+    )
+)
 def test_a_payload_comes_back_and_never_grows(payload: bytes) -> None:
     data, compressed = pack(payload, Compression.ZSTD)
     assert len(data) <= len(payload)
@@ -31,7 +37,7 @@ def test_raw_payloads_are_left_alone() -> None:
 def test_a_bomb_is_refused_before_it_is_unpacked() -> None:
     bomb = zstandard.ZstdCompressor(level=19).compress(bytes(50_000_000))
     assert len(bomb) < 10_000
-    with pytest.raises(DecodeError, match="outside 0..100000"):
+    with pytest.raises(DecodeError, match=r"outside 0\.\.100000"):
         unpack(bomb, LIMIT)
 
 
@@ -56,10 +62,8 @@ def test_exactly_the_limit_is_accepted() -> None:
 
 @given(st.binary(max_size=60))
 def test_any_bytes_unpack_or_raise_a_decode_error(data: bytes) -> None:
-    try:
+    with contextlib.suppress(DecodeError):
         assert len(unpack(data, LIMIT)) <= LIMIT
-    except DecodeError:
-        pass
 
 
 @given(st.data())
@@ -67,7 +71,5 @@ def test_damaged_frames_unpack_or_raise_a_decode_error(data: st.DataObject) -> N
     frame = bytearray(pack(b"straitlink " * 40, Compression.ZSTD)[0])
     for _ in range(data.draw(st.integers(1, 4))):
         frame[data.draw(st.integers(0, len(frame) - 1))] = data.draw(st.integers(0, 255))
-    try:
+    with contextlib.suppress(DecodeError):
         assert len(unpack(bytes(frame), LIMIT)) <= LIMIT
-    except DecodeError:
-        pass

@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,7 +16,7 @@ def reassembler(max_bytes: int = 1_000_000) -> Reassembler:
 
 def cut(message: bytes, at: set[int]) -> list[tuple[int, bytes]]:
     edges = [0, *sorted(a for a in at if 0 < a < len(message)), len(message)]
-    return [(a, message[a:b]) for a, b in zip(edges, edges[1:], strict=False)]
+    return [(a, message[a:b]) for a, b in itertools.pairwise(edges)]
 
 
 @given(st.data())
@@ -54,7 +56,9 @@ def test_messages_of_different_topics_and_numbers_do_not_mix() -> None:
     [(2, 8, b"cd"), (1, 4, b"bcd"), (0, 5, b"ab")],
     ids=["another total", "an overlap", "another total at a held offset"],
 )
-def test_a_part_that_contradicts_what_is_held_drops_the_message(contradiction: tuple[int, int, bytes]) -> None:
+def test_a_part_that_contradicts_what_is_held_drops_the_message(
+    contradiction: tuple[int, int, bytes],
+) -> None:
     r = reassembler()
     r.add(KEY, 0, 4, b"ab", 0, 0)
     offset, total, part = contradiction
@@ -106,7 +110,11 @@ def test_clear_forgets_everything() -> None:
     max_bytes=st.integers(200, 5_000),
     flood=st.lists(
         st.tuples(
-            st.integers(0, 3), st.integers(0, 20), st.integers(0, 2000), st.integers(1, 400), st.integers(1, 2400)
+            st.integers(0, 3),
+            st.integers(0, 20),
+            st.integers(0, 2000),
+            st.integers(1, 400),
+            st.integers(1, 2400),
         ),
         max_size=150,
     ),
