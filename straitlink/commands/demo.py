@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from straitlink.commands.console import wide_console
 from straitlink.commands.progress import progress_bar
 
 app = typer.Typer()
@@ -32,7 +33,7 @@ def demo(
             synthesize(path, SyntheticSettings(duration_s=60.0, seed=seed), on_progress)
 
     result = run_demo(DemoSettings(out, log, profile, seconds, seed), write_mission, Console())
-    print_table(result.summary)
+    print_table(result.summary, wide_console())
     if result.interrupted:
         typer.echo("stopped early; what was recorded until then is complete")
     typer.echo(f"recording: {result.recording}")

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from straitlink.commands.console import wide_console
 from straitlink.commands.progress import progress_bar
 
 app = typer.Typer()
@@ -141,6 +142,6 @@ def report(
     if as_json:
         typer.echo(json.dumps(dataclasses.asdict(summary), indent=1, default=str))
     else:
-        print_table(summary)
+        print_table(summary, wide_console())
     beside = run_folder / "report.html" if run_folder.is_dir() else run_folder.with_suffix(".html")
     typer.echo(f"report: {write_page(run, summary, html or beside)}", err=True)

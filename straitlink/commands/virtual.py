@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from straitlink.commands.console import wide_console
 from straitlink.commands.progress import progress_bar
 
 app = typer.Typer()
@@ -36,7 +37,7 @@ def mission(
     if as_json:
         typer.echo(json.dumps(result, indent=1))
     else:
-        print_result(result)
+        print_result(result, wide_console())
 
 
 @app.command()

@@ -48,4 +48,32 @@ _CAMERA_FLOOD: list[Row] = [
     _row("operator/command", "up", 80, 10, "command"),
 ]
 
-NAMED_LOADS: dict[str, list[Row]] = {"light": _LIGHT, "camera-flood": _CAMERA_FLOOD}
+_CONTROL_HZ = 1000 / 3
+
+
+def _wrench(limb: str) -> Row:
+    return _row(f"robot/force_torque/{limb}", "down", 75, _CONTROL_HZ, "state", 2)
+
+
+# Everything that the synthetic mission publishes, about 4,000 messages/s and 5 MB/s, under the rules of
+# examples/robot.toml; most of it stays on the robot's bus or is decimated.
+_FULL: list[Row] = [
+    _row("robot/heartbeat", "down", 64, 10, "heartbeat"),
+    _row("robot/joint_states", "down", 1129, _CONTROL_HZ, "state", 5),
+    _row("robot/joint_commands", "down", 1129, _CONTROL_HZ, "none"),
+    _row("robot/odometry", "down", 158, _CONTROL_HZ, "state", 5),
+    _row("robot/tf", "down", 802, _CONTROL_HZ, "none"),
+    _row("robot/tf_static", "down", 276, 1, "none"),
+    _row("robot/imu", "down", 116, 1000, "none"),
+    *(_wrench(limb) for limb in ("l_foot", "r_foot", "l_hand", "r_hand")),
+    _row("robot/lidar/spindle", "down", 43, _CONTROL_HZ, "none"),
+    _row("robot/lidar/scan", "down", 17_354, 40, "perception", 0.5),
+    _row("robot/head_camera/image", "down", 140_425, 20, "perception", 2),
+    _row("robot/head_camera/calibration", "down", 349, 1, "bulk", 0.02),
+    _row("robot/chest_camera/image", "down", 56_717, 5, "perception", 2),
+    _row("robot/chest_camera/calibration", "down", 347, 1, "bulk", 0.02),
+    _row("robot/process_status", "down", 4141, 1, "state", 0.1),
+    *_OPERATOR,
+]
+
+NAMED_LOADS: dict[str, list[Row]] = {"light": _LIGHT, "full": _FULL, "camera-flood": _CAMERA_FLOOD}

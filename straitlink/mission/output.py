@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -45,26 +46,42 @@ def run_and_save(
     return result
 
 
-def print_result(result: dict[str, Any]) -> None:
+def print_result(result: dict[str, Any], console: Console) -> None:
     """Two tables: what became of each topic, and how the link was used."""
-    console = Console()
-    counters = ("offered", "delivered", "superseded", "expired", "lost", "decimated", "overflow")
-    ages = ("age_p50_ms", "age_p95_ms", "age_max_ms")
-    table = Table(title="Topics", title_justify="left")
-    table.add_column("topic")
-    for heading in ("", *counters, "age p50 ms", "p95", "max", "kB"):
-        table.add_column(heading, justify="right")
-    for name, row in result["topics"].items():
-        shown_ages = ["-" if row[age] is None else f"{row[age]:.0f}" for age in ages]
-        counts = [str(row[counter]) for counter in counters]
-        table.add_row(name, row["direction"], *counts, *shown_ages, f"{row['bytes'] / 1000:.1f}")
-    console.print(table)
-    table = Table(title="Link", title_justify="left")
-    for heading in ("direction", "utilisation", "queue p50 ms", "p95", "max", "settled max", "buffer drops"):
-        table.add_column(heading, justify="right")
-    for direction, row in result["link"].items():
-        delays = [f"{row[f'queue_delay_{name}_ms']:.0f}" for name in ("p50", "p95", "max", "max_settled")]
-        table.add_row(direction, f"{row['utilisation']:.1%}", *delays, str(row["buffer_drops"]))
-    console.print(table)
+    console.print(_topics_table(result["topics"]))
+    console.print(_link_table(result["link"]))
     if "wall_s" in result:
         console.print(f"{result['wall_s']:.1f} s of wall time; trace {result['trace_sha256'][:16]}")
+
+
+def _topics_table(topics: dict[str, Any]) -> Table:
+    counters = ("offered", "decimated", "delivered", "superseded", "expired", "overflow", "lost")
+    table = Table(title="Topics", title_justify="left", box=SIMPLE, padding=0, pad_edge=False)
+    table.add_column("topic", no_wrap=True)
+    for heading in (*counters, "age p50", "p95", "max ms", "kB"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, row in topics.items():
+        ages = [row[f"age_{which}_ms"] for which in ("p50", "p95", "max")]
+        table.add_row(
+            f"{'↓' if row['direction'] == 'down' else '↑'} {name}",
+            *(f"{row[counter]:,}" for counter in counters),
+            *("-" if age is None else f"{age:.0f}" for age in ages),
+            f"{row['bytes'] / 1000:,.1f}",
+        )
+    return table
+
+
+def _link_table(link: dict[str, Any]) -> Table:
+    table = Table(title="Link", title_justify="left", box=SIMPLE, padding=0, pad_edge=False)
+    for heading in ("way", "used", "queue p50", "p95", "max", "max settled ms", "buffer drops", "lost"):
+        table.add_column(heading, justify="right")
+    for direction, row in link.items():
+        delays = [row[f"queue_delay_{which}_ms"] for which in ("p50", "p95", "max", "max_settled")]
+        table.add_row(
+            direction,
+            f"{row['utilisation']:.1%}",
+            *("-" if delay is None else f"{delay:.0f}" for delay in delays),
+            str(row["buffer_drops"]),
+            str(row["lost_packets"]),
+        )
+    return table
