@@ -33,12 +33,12 @@ class Outgoing:
         """Queue a message, or drop it and say so in the ledger; whether one more waits than before."""
         try:
             queue = self._queues[key]
+            self.unmatched += queue is None
         except KeyError:
             queue = self._open(key)
         if queue is None:
-            self.unmatched += 1
             return False
-        if len(payload) > self._max_message_bytes or len(key) + len(encoding) > MAX_NAME_BYTES:
+        if len(payload) > self._max_message_bytes or _name_bytes(key, encoding) > MAX_NAME_BYTES:
             self.refused += 1
             queue.ledger.offered += 1
             queue.ledger.overflow += 1
@@ -97,6 +97,7 @@ class Outgoing:
         if rule is not None and len(self._queues) >= self._max_topics:
             self.refused += 1
             return None
+        self.unmatched += rule is None
         queue = None if rule is None else TopicQueue(key, rule)
         if len(self._queues) < self._max_topics:
             self._queues[key] = queue
@@ -163,3 +164,7 @@ class Outgoing:
         """The short number of a topic, and its name while the peer has not confirmed the number."""
         topic_id = self._ids.setdefault(name, len(self._ids))
         return topic_id, None if topic_id in self._confirmed else name
+
+
+def _name_bytes(key: str, encoding: str) -> int:
+    return len(key.encode()) + len(encoding.encode())
