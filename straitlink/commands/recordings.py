@@ -121,7 +121,7 @@ def recover(
     ] = None,
 ) -> None:
     """Make a valid MCAP file of what a killed recorder left."""
-    from straitlink.record import recover as run
+    from straitlink.recording import recover as run
 
     typer.echo(str(run(log, out)))
 

@@ -22,7 +22,7 @@ from straitlink.demo.children import Child, Children
 from straitlink.demo.configs import Addresses, free_addresses, write_configs
 from straitlink.demo.log_topics import LogTopic, read_log_topics
 from straitlink.demo.view import LiveView
-from straitlink.record import recover
+from straitlink.recording import recover
 from straitlink.report import Summary, read_run, summarise, write_page
 
 _SYNTHETIC_S = 60.0  # of log; repeated for as long as the demonstration lasts

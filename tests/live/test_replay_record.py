@@ -23,7 +23,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from shaper.bus import BusSettings
-from straitlink.record import RecordSettings, RecordSummary, record, recover
+from straitlink.record import RecordSettings, RecordSummary, record
+from straitlink.recording import recover
 from straitlink.replay import ReplaySettings, ReplaySummary, replay
 from straitlink.schemas import SchemaLibrary, payload_type
 

@@ -17,14 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 from messages.attachment import Stamp
 from shaper.bus import BusSettings
 from straitlink import record as record_module
-from straitlink.record import (
-    AttachedFile,
-    RecordError,
-    RecordingFile,
-    RecordSettings,
-    intact_records,
-    recover,
-)
+from straitlink.record import RecordSettings
+from straitlink.recording import AttachedFile, RecordError, RecordingFile, intact_records, recover
 
 S = 1_000_000_000
 T0_NS = 1_800_000_000 * S
