@@ -4,35 +4,29 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Literal, cast
+from typing import Literal, cast
 
 import zenoh
-from mcap.exceptions import McapError
-from mcap.reader import McapReader, make_reader
-from mcap.records import Channel, Message
+from mcap.reader import McapReader
+from mcap.records import Channel
 from mcap.summary import Summary
 
 from messages.attachment import Stamp
 from shaper.bus import BusSettings, open_bus
 
-from .schemas import ZENOH_ENCODING_KEY, PayloadType, zenoh_encoding
+from .replay_log import ReplayError, channel_encoding, open_log, selected_time, topic_key
+from .replay_timing import NS_PER_S, Lateness, Pass
 
-NS_PER_S = 1_000_000_000
+__all__ = ["Progress", "ReplayError", "ReplaySettings", "ReplaySummary", "replay"]
+
 _PROGRESS_INTERVAL_NS = 100_000_000
 # One wake-up publishes all that came due: at 4,000 messages/s this halves the CPU of one sleep per
 # message and costs half a millisecond of lateness.
 _WAKE_UP_QUANTUM_S = 0.0005
 _LONG_WAIT_S = 0.05  # longer waits listen for the stop request
-# A log whose publish_time is further from log_time than this was stamped by another clock (or 0).
-_SAME_CLOCK_NS = 10 * NS_PER_S
-
-
-class ReplayError(Exception):
-    """The log cannot be replayed; the message says which file or topic and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,52 +104,15 @@ def replay(settings: ReplaySettings) -> ReplaySummary:
     Raises ReplayError for a log that cannot be read or holds no matching topic, and
     shaper.bus.BusError if the bus cannot be opened.
     """
-    with _open_log(settings.log) as (reader, summary):
+    with open_log(settings.log) as (reader, summary):
         channels = _selected(summary, settings)
-        _selected_time(settings, summary)  # refuses an empty part before the bus is opened
+        # Refuses an empty part before the bus is opened.
+        selected_time(summary, settings.start_s, settings.end_s)
         session = open_bus(settings.bus)
         try:
             return _Run(settings, reader, summary, _declare(session, summary, channels)).publish_all()
         finally:
             session.close()
-
-
-def topic_key(topic: str) -> str:
-    """The Zenoh key of an MCAP topic: "/robot/scan" -> "robot/scan".
-
-    Raises ReplayError for a topic that cannot be a key.
-    """
-    key = topic.strip("/")
-    if not key or "//" in key or any(sign in key for sign in "*$?#"):
-        raise ReplayError(
-            f"topic {topic!r} cannot be a Zenoh key (empty chunk or one of * $ ? #): exclude it"
-        )
-    return key
-
-
-def channel_encoding(channel: Channel, summary: Summary) -> str:
-    """The Zenoh encoding string of an MCAP channel."""
-    if ZENOH_ENCODING_KEY in channel.metadata:
-        return channel.metadata[ZENOH_ENCODING_KEY]
-    schema = summary.schemas.get(channel.schema_id)
-    return zenoh_encoding(PayloadType(channel.message_encoding, schema.name if schema else ""))
-
-
-@contextmanager
-def _open_log(path: Path) -> Iterator[tuple[McapReader, Summary]]:
-    try:
-        stream: IO[bytes] = path.open("rb")
-    except OSError as error:
-        raise ReplayError(f"cannot open the log {path}: {error.strerror}") from error
-    with stream:
-        try:
-            reader = make_reader(stream)
-            summary = reader.get_summary()
-        except (McapError, OSError, ValueError) as error:
-            raise ReplayError(f"{path} is not a finished MCAP file ({error}); recover it first") from error
-        if summary is None or summary.statistics is None or not summary.statistics.message_count:
-            raise ReplayError(f"{path} has no messages, or no summary section that counts them")
-        yield reader, summary
 
 
 def _selected(summary: Summary, settings: ReplaySettings) -> dict[int, Channel]:
@@ -233,61 +190,6 @@ def _declare(session: zenoh.Session, summary: Summary, channels: dict[int, Chann
     }
 
 
-class _Lateness:
-    """A histogram of 0.1 ms bins up to 1 s: quantiles of any number of messages in flat memory."""
-
-    BIN_NS = 100_000
-    BINS = 10_000
-
-    def __init__(self) -> None:
-        self.counts = [0] * (self.BINS + 1)
-        self.max_ns = 0
-
-    def add(self, late_ns: int) -> None:
-        self.counts[min(max(late_ns, 0) // self.BIN_NS, self.BINS)] += 1
-        self.max_ns = max(self.max_ns, late_ns)
-
-    def quantile_ms(self, share: float) -> float:
-        """Upper edge of the bin that holds the quantile, at most the maximum; 0 without messages."""
-        needed = share * sum(self.counts)
-        passed = 0
-        for index, count in enumerate(self.counts):
-            passed += count
-            if count and passed >= needed:
-                edge_ns = (index + 1) * self.BIN_NS if index < self.BINS else self.max_ns
-                return min(edge_ns, self.max_ns) / 1e6
-        return 0.0
-
-
-class _Pass:
-    """One pass over the log: when each message is due, and the capture time it then claims."""
-
-    def __init__(self, settings: ReplaySettings, log_origin_ns: int, origin_ns: int, wall_ns: int) -> None:
-        self.settings = settings
-        self.log_origin_ns = log_origin_ns
-        self.origin_ns = origin_ns
-        self.wall_ns = wall_ns
-        self.clock_difference_ns: int | None = None
-
-    def offset_ns(self, log_time_ns: int) -> int:
-        elapsed_ns = log_time_ns - self.log_origin_ns
-        return elapsed_ns if self.settings.rate == 1.0 else round(elapsed_ns / self.settings.rate)
-
-    def capture_ns(self, message: Message, offset_ns: int) -> int:
-        """The message's capture time; with "now", as old at its put as it was at its log time.
-
-        At rate 1 that is publish_time plus one constant of the pass. Where log_time and publish_time
-        come from different clocks (or publish_time is absent), only differences between capture times
-        count, and the first message is as if captured now.
-        """
-        if self.settings.stamp == "log":
-            return message.publish_time
-        age_ns = message.log_time - message.publish_time
-        if self.clock_difference_ns is None:
-            self.clock_difference_ns = 0 if 0 <= age_ns <= _SAME_CLOCK_NS else age_ns
-        return self.wall_ns + offset_ns - (age_ns - self.clock_difference_ns)
-
-
 class _Run:
     """The passes over one log."""
 
@@ -297,8 +199,8 @@ class _Run:
         self.settings = settings
         self.reader = reader
         self.outlets = outlets
-        self.start_ns, self.end_ns = _selected_time(settings, summary)
-        self.lateness = _Lateness()
+        self.start_ns, self.end_ns = selected_time(summary, settings.start_s, settings.end_s)
+        self.lateness = Lateness()
         self.messages = 0
         self.payload_bytes = 0
         self.passes = 0
@@ -312,7 +214,13 @@ class _Run:
         stop = self.settings.stop
         while not stop.is_set() and (self.settings.loop == 0 or self.passes < self.settings.loop):
             shift_ns = self.passes * pass_ns
-            current = _Pass(self.settings, self.start_ns, started_ns + shift_ns, wall_ns + shift_ns)
+            current = Pass(
+                self.settings.rate,
+                self.settings.stamp,
+                self.start_ns,
+                started_ns + shift_ns,
+                wall_ns + shift_ns,
+            )
             if self._publish(current):
                 self.passes += 1
         return ReplaySummary(
@@ -328,7 +236,7 @@ class _Run:
             stopped=stop.is_set(),
         )
 
-    def _publish(self, current: _Pass) -> bool:
+    def _publish(self, current: Pass) -> bool:
         """False where a stop cuts the pass short."""
         topics = {outlet.topic for outlet in self.outlets.values()}
         records = self.reader.iter_messages(topics, starting_at=self.start_ns, ending_before=self.end_ns)
@@ -385,21 +293,3 @@ class _Run:
             duration_s = (self.end_ns - self.start_ns) / NS_PER_S
             progress = Progress(self.messages, self.payload_bytes, position_s, duration_s, self.passes + 1)
             self.settings.on_progress(progress)
-
-
-def _selected_time(settings: ReplaySettings, summary: Summary) -> tuple[int, int]:
-    """Log times [start, end) of the part to publish.
-
-    Counted from the log's first message whatever topics are selected, so that two replays of one
-    log, one per direction, stay in step.
-    """
-    assert summary.statistics is not None  # _open_log checked
-    first_ns, last_ns = summary.statistics.message_start_time, summary.statistics.message_end_time
-    start_ns = first_ns + round(settings.start_s * NS_PER_S)
-    end_ns = last_ns + 1
-    if settings.end_s is not None:
-        end_ns = min(end_ns, first_ns + round(settings.end_s * NS_PER_S))
-    if start_ns >= end_ns:
-        length_s = (last_ns - first_ns) / NS_PER_S
-        raise ReplayError(f"replay start_s = {settings.start_s} is past the log's end at {length_s:.3f} s")
-    return start_ns, end_ns

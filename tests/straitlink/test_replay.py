@@ -14,7 +14,9 @@ from mcap.writer import Writer
 
 from shaper.bus import BusSettings
 from straitlink import replay as replay_module
-from straitlink.replay import ReplayError, ReplaySettings, channel_encoding, replay, topic_key
+from straitlink.replay import ReplaySettings, replay
+from straitlink.replay_log import ReplayError, channel_encoding, topic_key
+from straitlink.replay_timing import Lateness, Pass
 
 S = 1_000_000_000
 WALL_NS = 1_800_000_000 * S
@@ -51,7 +53,8 @@ def selected(topics: tuple[str, ...], **changes: Any) -> set[str]:
 
 
 def captures(messages: list[Message], **changes: Any) -> list[int]:
-    current = replay_module._Pass(settings(**changes), 10 * S, 0, WALL_NS)
+    asked = settings(**changes)
+    current = Pass(asked.rate, asked.stamp, 10 * S, 0, WALL_NS)
     return [current.capture_ns(m, current.offset_ns(m.log_time)) for m in messages]
 
 
@@ -130,7 +133,7 @@ def test_a_log_that_does_not_count_is_counted() -> None:
 
 
 def test_lateness_quantiles_are_exact_to_their_bin_and_the_maximum_exactly() -> None:
-    lateness = replay_module._Lateness()
+    lateness = Lateness()
     for milliseconds in range(100):
         lateness.add(milliseconds * 1_000_000)
     assert lateness.quantile_ms(0.5) == pytest.approx(49.1)
