@@ -22,9 +22,11 @@ from shaper.fragments import Reassembler
 from shaper.key_expression import is_key, matches
 from shaper.ledger import ReceivedLedger
 from shaper.path import PeerClock
-from shaper.serial_number import ReceivedWindow, expand
+from shaper.serial_number import ReceivedWindow, expand, expand_above
 
 _MAX_EARLIER = 40  # arrivals named in one report beside the newest
+_LATEST_UNIX_NS = 1 << 62  # the year 2116; leaves room to add ages without leaving 64 bits
+_OLD_IN_A_ROW = 3  # so many packets too old to tell and none else: the newest number was a forged one
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,9 @@ class _InTopic:
             self.window.accept(number)
             self.highest = number
             return number
-        number = expand(number_low_bits, MESSAGE_NUMBER_BITS, self.highest)
+        # A heartbeat wraps its 16 bits in two hours, and a blackout may last as long. Replays end at
+        # the packet numbers, so what is older than the window here is a number come round again.
+        number = expand_above(number_low_bits, MESSAGE_NUMBER_BITS, self.highest - self.window.span)
         overtaken = number < self.highest
         if not self.window.accept(number):
             return None
@@ -87,6 +91,7 @@ class Incoming:
         self._accept = accept
         self._ledgers = ledgers
         self._window = ReceivedWindow()
+        self._old_in_a_row = 0
         self._topics: dict[int, _InTopic] = {}
         self._to_confirm: dict[int, None] = {}
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_MAX_EARLIER + 1)
@@ -109,18 +114,27 @@ class Incoming:
         """The full send stamp of a datagram not seen before (microseconds); None for a duplicate."""
         highest = self._window.highest
         number = expand(header.number, NUMBER_BITS, highest) if highest >= 0 else header.number
+        if highest >= 0 and number <= highest - self._window.span:
+            self._old_in_a_row += 1
+            if self._old_in_a_row < _OLD_IN_A_ROW:
+                return None
+            self._window, self._largest_arrival = ReceivedWindow(), (-1, 0)
+            number = header.number
         if not self._window.accept(number):
             return None
+        self._old_in_a_row = 0
         self.received += 1
         self._arrivals.append((number, now_ns))
         if number > self._largest_arrival[0]:
             self._largest_arrival = (number, now_ns)
         if header.elicits_report and self.unreported_since_ns is None:
             self.unreported_since_ns = now_ns
-        return self.clock.expand_stamp(header.stamp_us)
+        return self.clock.expand_stamp(header.stamp_us, now_ns)
 
     def on_hello(self, frame: HelloFrame, sent_us: int) -> None:
         """Learn the peer's wall clock."""
+        if not 0 <= frame.unix_ns <= _LATEST_UNIX_NS:
+            raise DecodeError(f"a wall clock of {frame.unix_ns} ns is outside 0..{_LATEST_UNIX_NS}")
         self._unix_minus_stamp_ns = frame.unix_ns - sent_us * 1000
 
     def on_message(self, frame: MessageFrame, sent_us: int, now_ns: int) -> Delivered | None:
@@ -161,8 +175,11 @@ class Incoming:
     def _topic_of(self, frame: MessageFrame) -> _InTopic | None:
         topic = self._topics.get(frame.topic_id)
         if frame.name is not None:
-            if topic is None:
+            if topic is None and len(self._topics) < self._limits.max_topics:
                 topic = self._open(frame.topic_id, frame.name)
+            elif topic is None:  # never confirmed, so its frames stay recognisable by their name
+                self.refused += 1
+                return None
             elif topic.name != frame.name:
                 raise DecodeError(f"topic id {frame.topic_id} is {topic.name.key}, not {frame.name.key}")
             self._to_confirm[frame.topic_id] = None
@@ -175,10 +192,10 @@ class Incoming:
         return topic
 
     def _open(self, topic_id: int, name: TopicName) -> _InTopic:
-        if len(self._topics) >= self._limits.max_topics:
-            raise DecodeError(f"the peer names more than {self._limits.max_topics} topics")
         accepted = is_key(name.key) and any(matches(e, name.key) for e in self._accept)
-        ledger = self._ledgers.setdefault(name.key, ReceivedLedger()) if accepted else ReceivedLedger()
+        ledger = self._ledgers.get(name.key, ReceivedLedger())
+        if accepted and len(self._ledgers) < self._limits.max_topics:  # lives of the peer have no limit
+            self._ledgers[name.key] = ledger
         topic = self._topics[topic_id] = _InTopic(name, ledger, accepted)
         return topic
 

@@ -13,6 +13,14 @@ def expand(low_bits: int, bits: int, near: int) -> int:
     return near + ((low_bits - near + half) % size) - half
 
 
+def expand_above(low_bits: int, bits: int, floor: int) -> int:
+    """The smallest integer above `floor` whose low `bits` are `low_bits`.
+
+    For numbers of which a whole range may be lost: what is not just late is taken for new.
+    """
+    return floor + 1 + (low_bits - floor - 1) % (1 << bits)
+
+
 class ReceivedWindow:
     """Which of the last `span` numbers have arrived: tells a duplicate from a late packet."""
 
