@@ -9,6 +9,8 @@ from shaper.datagram import NUMBER_BITS, STAMP_BITS, ReportFrame
 from shaper.errors import DecodeError
 from shaper.serial_number import expand
 
+_MAX_PACKETS_IN_FLIGHT = 1 << 16  # what a heartbeat sends in hours of silence; older ones are forgotten
+_EARLIEST_NS = -1_000_000  # a shorter round trip is no rounding or drift but an impossible report
 _LOSS_WINDOW_PACKETS = 200  # loss is averaged over about this many packets
 _DRIFT_PPM = 200  # how fast two monotonic clocks may part; ageing of an offset sample (quartz: < 100)
 
@@ -47,18 +49,28 @@ class PeerClock:
         self.offset_ns: int | None = None  # peer's clock minus ours
         self._bound_ns = 0
         self._sampled_ns = 0
-        self._near_us: int | None = None
+        self._newest: tuple[int, int] | None = None  # newest stamp (expanded, us) and when it came (ns)
 
-    def expand_stamp(self, stamp_us: int) -> int:
-        """A 32-bit stamp of the peer as a plain count of microseconds since an arbitrary start."""
-        near = stamp_us if self._near_us is None else self._near_us
-        expanded = expand(stamp_us, STAMP_BITS, near)
-        self._near_us = max(near, expanded)
+    def expand_stamp(self, stamp_us: int, now_ns: int) -> int:
+        """A 32-bit stamp of the peer as a plain count of microseconds since an arbitrary start.
+
+        Told apart by how long ago the one before it came, so that silence may last for hours.
+        """
+        last_us, last_ns = (stamp_us, now_ns) if self._newest is None else self._newest
+        expanded = expand(stamp_us, STAMP_BITS, last_us + (now_ns - last_ns) // 1000)
+        self._newest = expanded, now_ns
         return expanded
 
-    def on_exchange(self, sent_ns: int, peer_received_us: int, peer_sent_us: int, received_ns: int) -> int:
-        """Learn from one exchange of stamps (peer stamps expanded); returns its round-trip time in ns."""
+    def on_exchange(
+        self, sent_ns: int, peer_received_us: int, peer_sent_us: int, received_ns: int
+    ) -> int | None:
+        """Learn from one exchange of stamps (peer stamps expanded).
+
+        Returns its round-trip time in ns; None, and learns nothing, if the stamps contradict each other.
+        """
         rtt_ns = (received_ns - sent_ns) - (peer_sent_us - peer_received_us) * 1000
+        if rtt_ns < _EARLIEST_NS:
+            return None
         bound_ns = max(0, rtt_ns) // 2
         aged_ns = self._bound_ns + (received_ns - self._sampled_ns) * _DRIFT_PPM // 1_000_000
         if self.offset_ns is None or bound_ns <= aged_ns:
@@ -96,6 +108,8 @@ class Path:
         self.next_number += 1
         self._in_flight.append(packet)
         self.bytes_in_flight += wire_bytes
+        if len(self._in_flight) > _MAX_PACKETS_IN_FLIGHT:
+            self.bytes_in_flight -= self._in_flight.popleft().wire_bytes
         return packet
 
     def on_peer_restarted(self) -> None:
@@ -126,7 +140,8 @@ class Path:
         settled = self._settle(largest, arrivals)
         if settled and settled[-1].number == largest:
             peer_received_us = expand(report.arrival_us, STAMP_BITS, report_sent_us)
-            self.rtt_ns = clock.on_exchange(settled[-1].sent_ns, peer_received_us, report_sent_us, now_ns)
+            rtt_ns = clock.on_exchange(settled[-1].sent_ns, peer_received_us, report_sent_us, now_ns)
+            self.rtt_ns = self.rtt_ns if rtt_ns is None else rtt_ns
         self._update_loss(largest, report.received)
         self._largest = largest
         self.reported = True
