@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shaper.serial_number import ReceivedWindow, expand
+from shaper.serial_number import ReceivedWindow, expand, expand_above
 
 
 @given(
@@ -20,6 +20,13 @@ def test_numbers_expand_across_the_wrap_in_both_directions() -> None:
     assert expand(0x0002, 16, near=0xFFFE) == 0x1_0002
     assert expand(0xFFFE, 16, near=0x1_0002) == 0xFFFE
     assert expand(0xFFFFFF, 24, near=0) == -1
+
+
+@given(bits=st.sampled_from([16, 24]), floor=st.integers(-300, 1 << 40), ahead=st.integers(1, 1 << 16))
+def test_a_number_within_the_whole_range_above_a_floor_is_found_again(
+    bits: int, floor: int, ahead: int
+) -> None:
+    assert expand_above((floor + ahead) & ((1 << bits) - 1), bits, floor) == floor + ahead
 
 
 @given(st.lists(st.integers(0, 60), max_size=80), st.integers(1, 24))
