@@ -20,7 +20,15 @@ from shaper.bus import BusSettings, open_bus
 from .replay_log import ReplayError, channel_encoding, open_log, selected_time, topic_key
 from .replay_timing import NS_PER_S, Lateness, Pass
 
-__all__ = ["Progress", "ReplayError", "ReplaySettings", "ReplaySummary", "replay"]
+__all__ = [
+    "Progress",
+    "ReplayError",
+    "ReplaySettings",
+    "ReplaySummary",
+    "channel_encoding",
+    "replay",
+    "topic_key",
+]
 
 _PROGRESS_INTERVAL_NS = 100_000_000
 # One wake-up publishes all that came due: at 4,000 messages/s this halves the CPU of one sleep per
@@ -214,13 +222,8 @@ class _Run:
         stop = self.settings.stop
         while not stop.is_set() and (self.settings.loop == 0 or self.passes < self.settings.loop):
             shift_ns = self.passes * pass_ns
-            current = Pass(
-                self.settings.rate,
-                self.settings.stamp,
-                self.start_ns,
-                started_ns + shift_ns,
-                wall_ns + shift_ns,
-            )
+            begins_ns = (self.start_ns, started_ns + shift_ns, wall_ns + shift_ns)
+            current = Pass(self.settings.rate, self.settings.stamp, *begins_ns)
             if self._publish(current):
                 self.passes += 1
         return ReplaySummary(
