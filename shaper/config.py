@@ -21,8 +21,6 @@ from shaper.traffic_class import DEFAULT_CLASSES, Compression, Keep, TopicRule, 
 _NS_PER_MS = 1_000_000
 _NS_PER_S = 1_000_000_000
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -41,7 +39,7 @@ class ClassTable(_Table):
 class _TopicTable(_Table):
     key: str
     traffic_class: str = Field(alias="class")
-    max_hz: Annotated[float, Field(gt=0, le=100_000, allow_inf_nan=False)] | None = None
+    max_hz: Annotated[float, Field(ge=1e-6, le=100_000, allow_inf_nan=False)] | None = None
     compression: Compression = Compression.RAW
 
     @field_validator("key")
@@ -88,7 +86,9 @@ class _LimitsTable(_Table):
     max_topics: Annotated[int, Field(ge=1, le=1_000_000)] = Limits().max_topics
     max_message_bytes: Annotated[int, Field(ge=1, le=1_000_000_000)] = Limits().max_message_bytes
     max_reassembly_bytes: Annotated[int, Field(ge=1, le=4_000_000_000)] = Limits().max_reassembly_bytes
-    max_reassembly_wait_s: Positive = Limits().max_reassembly_wait_ns / _NS_PER_S
+    max_reassembly_wait_s: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] = (
+        Limits().max_reassembly_wait_ns / _NS_PER_S
+    )
 
 
 class _ShaperTable(_Table):
@@ -135,7 +135,7 @@ def load_config(path: Path) -> ShaperConfig:
 def parse_address(text: str) -> tuple[str, int]:
     """ "host:port" as (host, port). Raises ValueError with what was expected."""
     host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or not 0 < int(port) < 65_536:
+    if not colon or not host or not (port.isascii() and port.isdigit()) or not 0 < int(port) < 65_536:
         raise ValueError(
             f"expected host:port with a port of 1 to 65535, such as 127.0.0.1:9001, not {text!r}"
         )
@@ -178,7 +178,7 @@ def _known_keys(title: str, loc: tuple[int | str, ...]) -> str:
     """What may stand at a place, found by walking the tables down to it."""
     table: Any = _ShaperTable if title == "_ShaperTable" else None
     for part in loc[:-1]:
-        if table is None or isinstance(part, int):
+        if table is None or table is ClassTable or isinstance(part, int):
             continue
         table = _TABLES.get(part, table)
     if table is None:
