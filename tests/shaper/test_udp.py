@@ -1,0 +1,92 @@
+"""The UDP socket on loopback: no sleeps, each wait bounded and ended by what is waited for."""
+
+import asyncio
+import socket
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+
+from shaper.udp import UdpError, UdpLink
+
+TIMEOUT_S = 5
+
+
+def free_address() -> tuple[str, int]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return "127.0.0.1", int(probe.getsockname()[1])
+
+
+def run(story: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    asyncio.run(asyncio.wait_for(story(), TIMEOUT_S))
+
+
+def test_datagrams_go_to_the_peer_and_come_from_it() -> None:
+    async def story() -> None:
+        a, b = free_address(), free_address()
+        inbox: asyncio.Queue[tuple[str, bytes]] = asyncio.Queue()
+        at_a = await UdpLink.open(a, b, lambda d: inbox.put_nowait(("a", d)))
+        at_b = await UdpLink.open(b, a, lambda d: inbox.put_nowait(("b", d)))
+        at_a.send(b"to b")
+        assert await inbox.get() == ("b", b"to b")
+        at_b.send(b"to a")
+        assert await inbox.get() == ("a", b"to a")
+        at_a.close()
+        at_b.close()
+
+    run(story)
+
+
+def test_what_a_stranger_sends_is_counted_and_dropped() -> None:
+    async def story() -> None:
+        a, b = free_address(), free_address()
+        inbox: asyncio.Queue[bytes] = asyncio.Queue()
+        link = await UdpLink.open(a, b, inbox.put_nowait)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.sendto(b"hello", a)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+            peer.bind(b)
+            peer.sendto(b"known", a)
+            assert await inbox.get() == b"known"
+        assert link.strangers == 1
+        assert inbox.empty()
+        link.close()
+
+    run(story)
+
+
+def test_an_absent_peer_is_no_error() -> None:
+    async def story() -> None:
+        a, b = free_address(), free_address()
+        inbox: asyncio.Queue[bytes] = asyncio.Queue()
+        link = await UdpLink.open(a, b, inbox.put_nowait)
+        for _ in range(3):  # the kernel answers "connection refused" by and by
+            link.send(b"anyone?")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+            peer.bind(b)
+            peer.sendto(b"yes", a)
+            assert await inbox.get() == b"yes"
+        link.close()
+
+    run(story)
+
+
+def test_a_port_in_use_is_told() -> None:
+    async def story() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+            taken.bind(("127.0.0.1", 0))
+            port = taken.getsockname()[1]
+            with pytest.raises(UdpError, match=f"link.listen = 127.0.0.1:{port}: the port is in use"):
+                await UdpLink.open(("127.0.0.1", port), free_address(), lambda d: None)
+
+    run(story)
+
+
+def test_nothing_is_sent_after_close() -> None:
+    async def story() -> None:
+        link = await UdpLink.open(free_address(), free_address(), lambda d: None)
+        link.close()
+        link.send(b"late")
+
+    run(story)
