@@ -10,23 +10,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from straitlink.synthetic.faces import faces_of
 from straitlink.synthetic.rigid import FloatArray, inverse
 from straitlink.synthetic.scene import Box
 from straitlink.synthetic.settings import Texture
 from straitlink.synthetic.textures import (
     LOOKS,
-    SIDE_M,
     TEXELS_PER_M,
     Image,
     levels_of,
     mean_colour,
-    shade_of,
     shaded,
 )
 
 _NEAR_M = 0.05
-_SUN = np.array([-0.45, 0.35, 0.82]) / np.linalg.norm([-0.45, 0.35, 0.82])
-_AMBIENT = 0.45
 _STREAM = 105
 _NOISE_MARGIN_PIXELS = 64
 _SUBPIXEL_BITS = 4
@@ -50,19 +47,6 @@ class Pinhole:
         return np.array([[focal, 0.0, centre_x], [0.0, focal, centre_y], [0.0, 0.0, 1.0]])
 
 
-@dataclass(frozen=True, slots=True)
-class _Faces:
-    """Rectangles of at most SIDE_M, in the frame `map`; arrays with one row per face."""
-
-    corner_m: FloatArray  # (F, 3)
-    edge_u_m: FloatArray  # (F, 3)
-    edge_v_m: FloatArray  # (F, 3)
-    normal: FloatArray  # (F, 3), outwards
-    shade: NDArray[np.intp]  # (F,)
-    texture_origin: FloatArray  # (F, 2) texels at full resolution
-    kinds: tuple[str, ...]
-
-
 class _View(NamedTuple):
     """One visible face as the camera sees it (a tuple: thousands are made each second)."""
 
@@ -82,7 +66,7 @@ class Renderer:
         self.camera = camera
         self._texture: Texture = texture
         self._seed = seed
-        self._faces = _faces_of(boxes, seed)
+        self._faces = faces_of(boxes, seed)
         shape = (camera.height, camera.width)
         self._frame: Image = np.zeros((*shape, 3), np.uint8)
         self._inverse_depth = np.zeros(shape, np.float32)
@@ -249,85 +233,6 @@ class Renderer:
             borderMode=cv2.BORDER_REPLICATE,
         )
         cv2.copyTo(image, visible.view(np.uint8), target)
-
-
-class FisheyeRenderer:
-    """An equidistant fisheye (Kannala-Brandt with k1..k4 = 0), resampled from a wider pinhole view."""
-
-    def __init__(
-        self,
-        boxes: Sequence[Box],
-        size: tuple[int, int],
-        field_of_view_rad: float,
-        texture: Texture,
-        seed: int,
-    ) -> None:
-        width, height = size
-        self.width, self.height = width, height
-        self.focal_pixels = (width / 2) / (field_of_view_rad / 2)
-        half = field_of_view_rad / 2
-        pinhole_width, pinhole_height = width, height
-        pinhole = Pinhole(pinhole_width, pinhole_height, pinhole_width / 2 / np.tan(half))
-        self._renderer = Renderer(boxes, pinhole, texture, seed)
-        x = (np.arange(width) - (width - 1) / 2)[None, :]
-        y = (np.arange(height) - (height - 1) / 2)[:, None]
-        radius = np.hypot(x, y)
-        angle = radius / self.focal_pixels
-        stretch = np.where(
-            angle < half,
-            np.tan(np.minimum(angle, half)) * pinhole.focal_pixels / np.maximum(radius, 1e-9),
-            np.nan,
-        )
-        # Outside of the lens's circle the map points off the image, which the border paints black.
-        map_x = np.nan_to_num(x * stretch + (pinhole_width - 1) / 2, nan=-1e4).astype(np.float32)
-        map_y = np.nan_to_num(y * stretch + (pinhole_height - 1) / 2, nan=-1e4).astype(np.float32)
-        self._maps = cv2.convertMaps(map_x, map_y, cv2.CV_16SC2)
-
-    def expose(self, map_from_optical: FloatArray) -> Image:
-        """A (height, width, 3) BGR frame with noise."""
-        image: Image = cv2.remap(
-            self._renderer.expose(map_from_optical),
-            self._maps[0],
-            self._maps[1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-        )
-        return image
-
-
-def _faces_of(boxes: Sequence[Box], seed: int) -> _Faces:
-    """The six sides of every box, large ones cut into panels, each with its own piece of texture."""
-    random = np.random.default_rng([seed, _STREAM])
-    rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
-    kinds: list[str] = []
-    for box in boxes:
-        tone = random.uniform(0.88, 1.12)
-        for axis in range(3):
-            for sign in (-1.0, 1.0):
-                for panel in _panels(box, axis, sign):
-                    rows.append((*panel, np.array([tone])))
-                    kinds.append(box.kind)
-    corner, edge_u, edge_v = (np.array([row[i] for row in rows]) for i in range(3))
-    normal = np.cross(edge_u, edge_v)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    tones = np.array([row[3][0] for row in rows])
-    light = tones * (_AMBIENT + (1 - _AMBIENT) * np.clip(normal @ _SUN, 0.0, 1.0))
-    lengths = np.stack([np.linalg.norm(edge_u, axis=1), np.linalg.norm(edge_v, axis=1)], axis=1)
-    spare = np.maximum(SIDE_M - lengths, 0.0) * TEXELS_PER_M
-    origin = spare * random.random(spare.shape)
-    shades = np.array([shade_of(value) for value in light], dtype=np.intp)
-    return _Faces(corner, edge_u, edge_v, normal, shades, origin, tuple(kinds))
-
-
-def _panels(box: Box, axis: int, sign: float) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Corner and edges of the panels of one side; edge_u x edge_v points outwards."""
-    first, second = ((axis + 1) % 3, (axis + 2) % 3) if sign > 0 else ((axis + 2) % 3, (axis + 1) % 3)
-    axes, size = box.map_from_box.T, box.size_m
-    start = np.array(box.centre_m) + sign * axes[axis] * size[axis] / 2
-    start = start - axes[first] * size[first] / 2 - axes[second] * size[second] / 2
-    count_u, count_v = (int(np.ceil(size[a] / SIDE_M - 1e-9)) for a in (first, second))
-    edge_u, edge_v = axes[first] * size[first] / count_u, axes[second] * size[second] / count_v
-    return [(start + i * edge_u + j * edge_v, edge_u, edge_v) for i in range(count_u) for j in range(count_v)]
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -11,7 +11,8 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 
 from messages.catalogue import CatalogueTopic
-from straitlink.synthetic.camera import FisheyeRenderer, Pinhole, Renderer
+from straitlink.synthetic.camera import Pinhole, Renderer
+from straitlink.synthetic.fisheye import FisheyeRenderer
 from straitlink.synthetic.frames import (
     HEAD_FROM_HEAD_CAMERA,
     TORSO_FROM_CHEST_CAMERA,
