@@ -7,6 +7,7 @@ def user_errors() -> tuple[type[Exception], ...]:
     """The base classes of the packages' own errors; imported only when something was raised."""
     from netem_scripts.band import ProfileError
     from netem_scripts.udp_proxy import ProxyError
+    from perception_server.overview import ViewError
     from shaper.bus import BusError
     from shaper.errors import ShaperError
     from shaper.udp import UdpError
@@ -21,6 +22,7 @@ def user_errors() -> tuple[type[Exception], ...]:
         UdpError,
         ProfileError,
         ProxyError,
+        ViewError,
         DemoError,
         ReplayError,
         RecordError,

@@ -28,6 +28,7 @@ from straitlink.report import Summary, read_run, summarise, write_page
 _SYNTHETIC_S = 60.0  # of log; repeated for as long as the demonstration lasts
 _DRAIN_S = 6.0  # after the last message was published, for what is on its way in the thin band
 _OPERATOR_KEYS = "operator/**"
+_CAMERAS = ("robot/head_camera/image", "robot/chest_camera/image")
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +125,8 @@ def _start(
     record = ["record", str(recording), "--connect", addresses.operator_bus, "--schemas", str(log)]
     recorder = children.start("record", [*record, *(arg for c in carried for arg in ("--config", c))])
     children.wait_until("the start of the recorder", partial(_is_open, recorder))
+    if settings.log is None:
+        children.start("perception", ["perception", *_CAMERAS, "--connect", addresses.robot_bus])
     passes = ["--loop", "0"]
     down = ["replay", str(log), "--connect", addresses.robot_bus, *passes, "--exclude", _OPERATOR_KEYS]
     down += [arg for topic in unusable for arg in ("--exclude", topic)]
