@@ -267,7 +267,9 @@ class Endpoint:
         header, frames = decode_datagram(data)
         incoming = self._incoming
         if incoming is None or header.epoch != incoming.epoch:
-            if header.epoch in self._retired_epochs:
+            # Whoever has just started says hello in every datagram until it is reported on.
+            says_hello = any(isinstance(frame, HelloFrame) for frame in frames)
+            if header.epoch in self._retired_epochs or (incoming is not None and not says_hello):
                 self.counters.stale_epoch += 1
                 return
             incoming = self._meet_peer(header.epoch, now_ns)
