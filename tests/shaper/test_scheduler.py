@@ -103,6 +103,14 @@ def test_while_all_have_something_no_topic_is_served_twice_more_than_another(cou
         assert max(busy) - min(busy) <= 1
 
 
+def test_while_the_link_is_held_the_beats_of_a_tier_take_turns() -> None:
+    scheduler = Scheduler()
+    offer(scheduler, queue_of("bulk", 3))
+    for name in ("beat a", "beat b"):
+        offer(scheduler, queue_of(name, 3, always_send=True), 2)
+    assert [serve(scheduler, only_always_send=True) for _ in range(5)] == ["beat a", "beat b"] * 2 + [None]
+
+
 def test_while_the_link_is_held_only_always_send_is_served_and_the_rest_keep_their_place() -> None:
     scheduler = Scheduler()
     offer(scheduler, queue_of("bulk", 3))
