@@ -70,9 +70,9 @@ def run_demo(settings: DemoSettings, synthesize: Callable[[Path], None], console
         _watch(children, sources, settings, stop, console)
         for source in sources:
             source.stop()
+        duration_s = time.monotonic() - started_s  # ages grow while nothing is published: not counted
         stop.wait(0.0 if stop.is_set() else _DRAIN_S)
         interrupted = stop.is_set()
-        duration_s = time.monotonic() - started_s
     _write_facts(settings, log, duration_s)
     run = read_run(out)
     summary = summarise(run)
