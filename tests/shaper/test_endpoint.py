@@ -559,6 +559,29 @@ def test_reports_ride_on_datagrams_that_leave_anyway() -> None:
         assert len(side.frames(ReportFrame)) >= 90
 
 
+def test_reports_tell_when_each_datagram_arrived() -> None:
+    pair = Pair()
+    for i in range(30):
+        pair.offer(pair.robot, "robot/command/a", b"%d" % i)
+        pair.advance((3 + i % 5) * MS)
+    pair.advance(1 * S)
+    told: dict[int, int] = {}
+    for report in pair.operator.frames(ReportFrame):
+        assert isinstance(report, ReportFrame)
+        number, arrival_us = report.largest, report.arrival_us
+        told[number] = arrival_us
+        for numbers_before, us_before in report.earlier:
+            number, arrival_us = number - numbers_before, arrival_us - us_before
+            told[number] = arrival_us
+    arrived = {
+        header.number: pair.operator.local_ns(t + pair.robot.delay_ns) // 1000 & 0xFFFF_FFFF
+        for (t, _), (header, _) in zip(pair.robot.sent, pair.robot.decoded, strict=True)
+        if header.elicits_report and t + pair.robot.delay_ns < pair.now_ns - 100 * MS
+    }
+    assert len(arrived) >= 30
+    assert {number: told.get(number) for number in arrived} == arrived
+
+
 def test_pure_reports_take_a_small_share_of_a_thin_link() -> None:
     pair = Pair(bands=(THIN,))
     start_bytes = sum(len(d) + IP_UDP_BYTES for _, d in pair.operator.sent)
@@ -643,6 +666,13 @@ def test_the_band_follows_the_measured_round_trip() -> None:
     pair.robot.delay_ns = pair.operator.delay_ns = 500 * MS
     pair.advance(4 * S)
     assert pair.robot.endpoint.link_state().band == "thin"
+    assert pair.robot.link_states[-1].rate_bps == 95_000
+    pair.forget_history()
+    saturate(pair, 400_000)
+    start_ns = pair.now_ns
+    pair.advance(5 * S)
+    wire_bits = sum(len(d) + IP_UDP_BYTES for _, d in pair.robot.sent) * 8
+    assert 0.9 * 95_000 < wire_bits * S / (pair.now_ns - start_ns) < 1.05 * 95_000
 
 
 def test_two_runs_of_one_story_send_the_same_bytes() -> None:

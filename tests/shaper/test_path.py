@@ -94,6 +94,14 @@ def test_what_is_in_flight_is_what_was_sent_after_the_newest_report(acts: list[t
         assert path.bytes_in_flight == sum(sizes[reported + 1 :])
 
 
+def test_a_heartbeat_into_hours_of_silence_is_remembered_in_bounded_memory() -> None:
+    path = path_with(70_000, wire_bytes=73)
+    assert len(path._in_flight) == 1 << 16
+    assert path.bytes_in_flight == 73 << 16
+    assert len(path.on_report(report(69_999, 0, 1), peer_us(0), PeerClock(), 70 * S)) == 1 << 16
+    assert path.bytes_in_flight == 0
+
+
 # Round trip.
 
 
