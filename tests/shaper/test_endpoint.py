@@ -663,6 +663,9 @@ def test_topics_are_confirmed_a_handful_at_a_time() -> None:
 def test_the_band_follows_the_measured_round_trip() -> None:
     pair = Pair(bands=(THIN, FAST), delay_ns=50 * MS)
     assert pair.robot.endpoint.link_state().band == "fast"
+    saturate(pair, 100_000)
+    pair.advance(1 * S)
+    assert pair.operator.payloads == [bytes(100_000)]
     pair.robot.delay_ns = pair.operator.delay_ns = 500 * MS
     pair.advance(4 * S)
     assert pair.robot.endpoint.link_state().band == "thin"
