@@ -6,13 +6,18 @@ machine and no token bucket (a bucket's burst would hide the queue that is to be
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
 from heapq import heappop, heappush
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from .band import Band, DirectionProfile, JitterShape
+from .band import Band, DirectionProfile, Order
+from .chance import Chance, RandomSource
+from .delay_first import DelayFirst
 from .schedule import FOREVER_NS, NANOBITS_PER_BIT, NANOBITS_PER_BYTE, Schedule, Segment
+
+__all__ = ["DropReason", "Link", "LinkError", "LinkTotals", "Passage", "RandomSource"]
 
 _NO_LIMIT_NANOBITS = 1 << 100
 
@@ -21,30 +26,27 @@ class LinkError(Exception):
     """The link was used wrongly: time went backwards."""
 
 
-class RandomSource(Protocol):
-    """Where chance comes from; random.Random fits."""
-
-    def random(self) -> float: ...
-    def gauss(self, mu: float, sigma: float) -> float: ...
-    def getrandbits(self, k: int, /) -> int: ...
-
-
 class DropReason(StrEnum):
     """Why a packet never arrives."""
 
     OVERFLOW = "OVERFLOW"
     """It did not fit the buffer (tail drop) and took no capacity."""
     LOSS = "LOSS"
-    """It was lost behind the queue: it has occupied the link like any other."""
+    """Chance took it: behind the queue, where it has occupied the link like any other; in the order
+    delay-then-rate before the queue, where it has taken no capacity."""
+    OVERSIZE = "OVERSIZE"
+    """It was larger than the MTU and took no capacity."""
 
 
 class Passage(NamedTuple):
     """What becomes of one packet; a tuple, since hundreds of thousands are made per mission.
 
     wire_bytes: payload and overhead.
-    queue_delay_ns: from entry until its first bit leaves; for an OVERFLOW, what it would have waited.
-    departure_ns: when its last bit leaves the queue; None for an OVERFLOW.
+    queue_delay_ns: from entry into the queue until its first bit leaves; for an OVERFLOW, what it would have
+        waited; 0 for what never came to the queue.
+    departure_ns: when its last bit leaves the queue; None for what was not queued.
     arrivals_ns: none if dropped, two if duplicated.
+    corrupted_bit: which bit of the payload arrives flipped; None if none does.
     """
 
     wire_bytes: int
@@ -52,11 +54,14 @@ class Passage(NamedTuple):
     departure_ns: int | None
     arrivals_ns: tuple[int, ...]
     drop: DropReason | None
+    corrupted_bit: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LinkTotals:
-    """Packets so far: offered + duplicated = overflowed + lost + delivered + in_transit, always."""
+    """Packets so far, of which always
+    offered + duplicated = oversized + overflowed + lost + delivered + in_transit.
+    """
 
     offered: int
     duplicated: int
@@ -64,6 +69,7 @@ class LinkTotals:
     lost: int
     delivered: int
     in_transit: int
+    oversized: int = 0
 
 
 class Link:
@@ -71,6 +77,9 @@ class Link:
 
     __slots__ = (
         "_accepted_bytes",
+        "_chance",
+        "_delay_first",
+        "_departures_ns",
         "_direction",
         "_duplicated",
         "_entry",
@@ -83,8 +92,9 @@ class Link:
         "_offered",
         "_overflowed",
         "_overhead_bytes",
+        "_oversized",
         "_pending_ns",
-        "_rng",
+        "_plain",
         "_schedule",
         "_server",
     )
@@ -93,7 +103,13 @@ class Link:
         self._direction = direction
         self._overhead_bytes = direction.overhead_bytes
         self._schedule = Schedule(direction)
-        self._rng = rng
+        self._chance = Chance(rng)
+        delay_first = direction.order is Order.DELAY_THEN_RATE
+        self._delay_first = DelayFirst(direction, self._schedule) if delay_first else None
+        self._departures_ns: deque[int] = deque()  # of the queue, unless plain
+        self._plain = not (
+            delay_first or direction.mtu_bytes or direction.buffer_packets or direction.minimum_bytes
+        )
         self._now_ns = 0
         self._entry = self._enter(0)  # the band in force now
         self._server = self._schedule.segment_serving(0)  # the band that serves the end of the queue
@@ -102,7 +118,7 @@ class Link:
         self._last_arrival_ns = 0
         self._pending_ns: list[int] = []  # heap of the arrivals to come
         self._accepted_bytes = 0
-        self._offered = self._duplicated = self._overflowed = self._lost = 0
+        self._offered = self._duplicated = self._overflowed = self._lost = self._oversized = 0
 
     def transmit(self, payload_bytes: int, now_ns: int) -> Passage:
         """Enter one packet at now_ns and learn its fate.
@@ -110,14 +126,19 @@ class Link:
         Raises LinkError when now_ns is before the last one given.
         """
         self._advance(now_ns)
-        entry, server = self._entry, self._server
+        self._offered += 1
         wire_bytes = payload_bytes + self._overhead_bytes
+        if not self._plain:
+            wire_bytes = max(wire_bytes, self._direction.minimum_bytes)
+            passage = self._pass_by_queue(payload_bytes, wire_bytes, now_ns)
+            if passage is not None:
+                return passage
+        entry, server = self._entry, self._server
         offered_nanobits = entry.start_nanobits + (now_ns - entry.start_ns) * entry.rate_bps
         begin = self._finish_nanobits
         if begin < offered_nanobits:
             begin = offered_nanobits
         finish = begin + wire_bytes * NANOBITS_PER_BYTE
-        self._offered += 1
         if begin >= server.end_nanobits:
             server = self._schedule.segment_serving(begin)
         start_ns = max(now_ns, self._last_departure_ns, server.start_ns)
@@ -133,10 +154,10 @@ class Link:
         self._finish_nanobits = finish
         self._last_departure_ns = departure_ns
         self._accepted_bytes += wire_bytes
+        if not self._plain:
+            self._departures_ns.append(departure_ns)
         if not server.ideal:
-            arrivals_ns = self._carry(server.band, departure_ns)
-            drop = None if arrivals_ns else DropReason.LOSS
-            return Passage(wire_bytes, start_ns - now_ns, departure_ns, arrivals_ns, drop)
+            return self._carry(server.band, payload_bytes, wire_bytes, start_ns - now_ns, departure_ns)
         arrival_ns = departure_ns + server.one_way_delay_ns
         if arrival_ns < self._last_arrival_ns:
             arrival_ns = self._last_arrival_ns
@@ -163,18 +184,21 @@ class Link:
 
     def backlog_bytes(self, now_ns: int) -> int:
         """What is queued or half served at now_ns, headers included, rounded up to whole bytes."""
-        return -(-self._backlog_nanobits(now_ns) // NANOBITS_PER_BYTE)
+        unserved = self._unserved_nanobits(now_ns)
+        if self._delay_first is not None:
+            unserved -= self._delay_first.delayed_nanobits(now_ns)
+        return -(-unserved // NANOBITS_PER_BYTE)
 
     def served_bits(self, now_ns: int) -> int:
         """What the link has served from t = 0 to now_ns, headers included, rounded down."""
         accepted_nanobits = self._accepted_bytes * NANOBITS_PER_BYTE
-        return (accepted_nanobits - self._backlog_nanobits(now_ns)) // NANOBITS_PER_BIT
+        return (accepted_nanobits - self._unserved_nanobits(now_ns)) // NANOBITS_PER_BIT
 
     def totals(self, now_ns: int) -> LinkTotals:
         """The balance of packets at now_ns."""
         self._advance(now_ns)
         in_transit = len(self._pending_ns)
-        carried = self._offered + self._duplicated - self._overflowed - self._lost
+        carried = self._offered + self._duplicated - self._oversized - self._overflowed - self._lost
         return LinkTotals(
             offered=self._offered,
             duplicated=self._duplicated,
@@ -182,6 +206,7 @@ class Link:
             lost=self._lost,
             delivered=carried - in_transit,
             in_transit=in_transit,
+            oversized=self._oversized,
         )
 
     def _advance(self, now_ns: int) -> None:
@@ -204,31 +229,73 @@ class Link:
         self._limit_nanobits = limit
         return entry
 
-    def _backlog_nanobits(self, now_ns: int) -> int:
+    def _unserved_nanobits(self, now_ns: int) -> int:
         self._advance(now_ns)
-        return max(0, self._finish_nanobits - self._schedule.nanobits_at(now_ns))
+        offered_nanobits = self._schedule.nanobits_at(now_ns)
+        if self._delay_first is not None:
+            return self._delay_first.unserved_nanobits(offered_nanobits)
+        return max(0, self._finish_nanobits - offered_nanobits)
 
-    def _carry(self, band: Band, departure_ns: int) -> tuple[int, ...]:
-        """What happens behind the queue: loss, then duplication, then delay and jitter per copy."""
-        if band.loss_ratio and self._rng.random() < band.loss_ratio:
+    def _pass_by_queue(self, payload_bytes: int, wire_bytes: int, now_ns: int) -> Passage | None:
+        """The fate of a packet that is too large, that finds too many, or that is delayed first."""
+        direction = self._direction
+        if direction.mtu_bytes is not None and wire_bytes > direction.mtu_bytes:
+            self._oversized += 1
+            return Passage(wire_bytes, 0, None, (), DropReason.OVERSIZE)
+        if self._delay_first is not None:
+            return self._delay(self._delay_first, payload_bytes, wire_bytes, now_ns)
+        departures_ns = self._departures_ns
+        while departures_ns and departures_ns[0] <= now_ns:
+            departures_ns.popleft()
+        if direction.buffer_packets is None or len(departures_ns) < direction.buffer_packets:
+            return None
+        self._overflowed += 1
+        wait_ns = self._last_departure_ns - now_ns
+        return Passage(wire_bytes, wait_ns, None, (), DropReason.OVERFLOW)
+
+    def _carry(
+        self, band: Band, payload_bytes: int, wire_bytes: int, queue_delay_ns: int, departure_ns: int
+    ) -> Passage:
+        """What happens behind the queue: loss, then duplication, corruption, and delay per copy."""
+        chance = self._chance
+        if chance.loses(band):
             self._lost += 1
-            return ()
-        if band.duplicate_ratio and self._rng.random() < band.duplicate_ratio:
-            self._duplicated += 1
-            return self._arrive(band, departure_ns), self._arrive(band, departure_ns)
-        return (self._arrive(band, departure_ns),)
+            return Passage(wire_bytes, queue_delay_ns, departure_ns, (), DropReason.LOSS)
+        copies = 2 if chance.duplicates(band) else 1
+        self._duplicated += copies - 1
+        corrupted_bit = chance.corrupted_bit(band, payload_bytes)
+        arrivals_ns = tuple([self._arrive(band, departure_ns) for _ in range(copies)])
+        return Passage(wire_bytes, queue_delay_ns, departure_ns, arrivals_ns, None, corrupted_bit)
 
     def _arrive(self, band: Band, departure_ns: int) -> int:
-        arrival_ns = departure_ns + band.one_way_delay_ns
-        if band.jitter_ns:
-            arrival_ns += self._jitter_ns(band)
+        arrival_ns = departure_ns + band.one_way_delay_ns + self._chance.jitter_ns(band)
         if not band.reorder:
             arrival_ns = max(arrival_ns, self._last_arrival_ns)
         self._last_arrival_ns = max(arrival_ns, self._last_arrival_ns)
         heappush(self._pending_ns, arrival_ns)
         return arrival_ns
 
-    def _jitter_ns(self, band: Band) -> int:
-        if band.jitter_shape is JitterShape.UNIFORM:
-            return int(self._rng.random() * (band.jitter_ns + 1))
-        return int(abs(self._rng.gauss(0.0, band.jitter_ns)))
+    def _delay(self, line: DelayFirst, payload_bytes: int, wire_bytes: int, now_ns: int) -> Passage:
+        """The order delay-then-rate: loss, duplication, corruption, the delay line, then the buffer."""
+        band, chance = self._entry.band, self._chance
+        if chance.loses(band):
+            self._lost += 1
+            return Passage(wire_bytes, 0, None, (), DropReason.LOSS)
+        copies = 2 if chance.duplicates(band) else 1
+        self._duplicated += copies - 1
+        corrupted_bit = chance.corrupted_bit(band, payload_bytes)
+        first_wait_ns, departures_ns = 0, []
+        for copy in range(copies):
+            reach_ns = now_ns + band.one_way_delay_ns + chance.jitter_ns(band)
+            wait_ns, departure_ns = line.enter(wire_bytes, reach_ns, now_ns, band.reorder)
+            if copy == 0:
+                first_wait_ns = wait_ns
+            if departure_ns is None:
+                self._overflowed += 1
+                continue
+            self._accepted_bytes += wire_bytes
+            heappush(self._pending_ns, departure_ns)
+            departures_ns.append(departure_ns)
+        if not departures_ns:
+            return Passage(wire_bytes, first_wait_ns, None, (), DropReason.OVERFLOW)
+        return Passage(wire_bytes, first_wait_ns, departures_ns[0], tuple(departures_ns), None, corrupted_bit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from bisect import bisect_right
+from dataclasses import replace
 from fractions import Fraction
 from itertools import accumulate, pairwise
 
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netem_scripts.band import Band, DirectionProfile, JitterShape
+from netem_scripts.band import Band, BurstLoss, DirectionProfile, JitterShape, Order
 from netem_scripts.link import DropReason, Link, Passage
 
 S = 1_000_000_000
@@ -24,11 +25,15 @@ ratios = st.sampled_from([0.0, 0.0, 0.1, 0.5, 1.0])
 
 @st.composite
 def bands(draw: st.DrawFn, faulty: bool) -> Band:
+    loss_ratio = draw(ratios) if faulty else 0.0
+    bursty = faulty and not loss_ratio and draw(st.booleans())
     return Band(
         duration_ns=draw(st.integers(20 * MS, 3 * S)),
         rate_bps=draw(rates_bps),
         one_way_delay_ns=draw(st.integers(0, S)),
-        loss_ratio=draw(ratios) if faulty else 0.0,
+        loss_ratio=loss_ratio,
+        burst_loss=BurstLoss(0.2, 0.5) if bursty else None,
+        corrupt_ratio=draw(ratios) if faulty else 0.0,
         jitter_ns=draw(st.sampled_from([0, 0, 10 * MS])) if faulty else 0,
         jitter_shape=draw(st.sampled_from(JitterShape)),
         duplicate_ratio=draw(ratios) if faulty else 0.0,
@@ -45,6 +50,17 @@ def directions(draw: st.DrawFn, faulty: bool = False, buffered: bool = True) -> 
         cyclic=draw(st.booleans()),
         buffer_ns=draw(st.none() | st.integers(MS, 2 * S)) if buffered else None,
         buffer_bytes=draw(st.none() | st.integers(500, 20_000)) if buffered else None,
+    )
+
+
+@st.composite
+def directions_of_any_kind(draw: st.DrawFn) -> DirectionProfile:
+    return replace(
+        draw(directions(faulty=True)),
+        order=draw(st.sampled_from(Order)),
+        buffer_packets=draw(st.none() | st.integers(1, 20)),
+        minimum_bytes=draw(st.sampled_from([0, 74])),
+        mtu_bytes=draw(st.none() | st.integers(500, 1500)),
     )
 
 
@@ -116,14 +132,18 @@ def test_the_queue_delay_ends_when_the_first_bit_moves(
         previous_departure_ns = passage.departure_ns or previous_departure_ns
 
 
-@given(directions(faulty=True), traffic)
+@given(directions_of_any_kind(), traffic)
 def test_the_rate_is_never_exceeded_over_any_interval(
     direction: DirectionProfile, offered: list[tuple[int, int]]
 ) -> None:
     link = Link(direction, random.Random(1))
-    served = [
-        (p.departure_ns, p.wire_bytes) for _, p in carry(direction, offered) if p.departure_ns is not None
-    ]
+    served: list[tuple[int, int]] = []
+    for _, passage in carry(direction, offered):
+        if passage.departure_ns is not None:  # in the order delay-then-rate each copy is served
+            first = direction.order is Order.DELAY_THEN_RATE
+            departures_ns = passage.arrivals_ns if first else (passage.departure_ns,)
+            served += [(departure_ns, passage.wire_bytes) for departure_ns in departures_ns]
+    served.sort()
     for first in range(len(served)):
         bits = 0
         for departure_ns, wire_bytes in served[first + 1 :]:
@@ -132,7 +152,7 @@ def test_the_rate_is_never_exceeded_over_any_interval(
             assert bits <= link.capacity_bits(max(0, served[first][0] - 1), departure_ns) + 1
 
 
-@given(directions(faulty=True), traffic, st.integers(0, 5 * S))
+@given(directions_of_any_kind(), traffic, st.integers(0, 5 * S))
 def test_every_packet_is_accounted_for(
     direction: DirectionProfile, offered: list[tuple[int, int]], later_ns: int
 ) -> None:
@@ -145,16 +165,18 @@ def test_every_packet_is_accounted_for(
     totals = link.totals(now_ns)
     arrivals_ns = [at for passage in passages for at in passage.arrivals_ns]
     assert totals.offered == len(offered)
-    assert totals.overflowed == sum(p.drop is DropReason.OVERFLOW for p in passages)
+    if direction.order is Order.RATE_THEN_DELAY:  # else copies overflow each for itself
+        assert totals.overflowed == sum(p.drop is DropReason.OVERFLOW for p in passages)
+        assert totals.duplicated == sum(len(p.arrivals_ns) == 2 for p in passages)
     assert totals.lost == sum(p.drop is DropReason.LOSS for p in passages)
-    assert totals.duplicated == sum(len(p.arrivals_ns) == 2 for p in passages)
+    assert totals.oversized == sum(p.drop is DropReason.OVERSIZE for p in passages)
     assert totals.delivered == sum(at <= now_ns for at in arrivals_ns)
     assert totals.in_transit == sum(at > now_ns for at in arrivals_ns)
-    accounted = totals.overflowed + totals.lost + totals.delivered + totals.in_transit
+    accounted = totals.oversized + totals.overflowed + totals.lost + totals.delivered + totals.in_transit
     assert totals.offered + totals.duplicated == accounted
 
 
-@given(directions(faulty=True), traffic)
+@given(directions_of_any_kind(), traffic)
 def test_served_and_queued_bytes_are_all_that_was_accepted(
     direction: DirectionProfile, offered: list[tuple[int, int]]
 ) -> None:
@@ -163,9 +185,14 @@ def test_served_and_queued_bytes_are_all_that_was_accepted(
     for size, gap_ns in offered:
         now_ns += gap_ns
         passage = link.transmit(size, now_ns)
-        accepted_bytes += passage.wire_bytes if passage.departure_ns is not None else 0
+        copies = len(passage.arrivals_ns) if direction.order is Order.DELAY_THEN_RATE else 1
+        accepted_bytes += passage.wire_bytes * copies if passage.departure_ns is not None else 0
         served_bits, backlog_bytes = link.served_bits(now_ns), link.backlog_bytes(now_ns)
-        assert -1 <= 8 * accepted_bytes - served_bits - 8 * backlog_bytes + 8 <= 8 + 1
+        unserved_bits = 8 * accepted_bytes - served_bits
+        if direction.order is Order.RATE_THEN_DELAY:
+            assert -1 <= unserved_bits - 8 * backlog_bytes + 8 <= 8 + 1
+        else:  # the rest is in the delay line
+            assert 0 <= 8 * backlog_bytes <= unserved_bits + 8
         assert served_bits <= link.capacity_bits(0, now_ns)
 
 
@@ -208,7 +235,7 @@ def test_jitter_keeps_the_order_unless_it_may_not(seed: int, shape: JitterShape)
     assert list(accumulate(free, max)) == in_order
 
 
-@given(directions(faulty=True), traffic, st.integers())
+@given(directions_of_any_kind(), traffic, st.integers())
 def test_the_same_seed_gives_the_same_passages(
     direction: DirectionProfile, offered: list[tuple[int, int]], seed: int
 ) -> None:
