@@ -1,4 +1,4 @@
-"""The cameras: the scene's boxes drawn with textures and an exact depth buffer."""
+"""The cameras: the scene's boxes painted with textures, what is far first."""
 
 from __future__ import annotations
 
@@ -11,24 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straitlink.synthetic.faces import faces_of
+from straitlink.synthetic.occlusion import Occlusion
 from straitlink.synthetic.rigid import FloatArray, inverse
 from straitlink.synthetic.scene import Box
 from straitlink.synthetic.settings import Texture
-from straitlink.synthetic.textures import (
-    LOOKS,
-    TEXELS_PER_M,
-    Image,
-    levels_of,
-    mean_colour,
-    shaded,
-)
+from straitlink.synthetic.textures import LOOKS, TEXELS_PER_M, Image, levels_of, mean_colour, piece
 
 _NEAR_M = 0.05
 _STREAM = 105
 _NOISE_MARGIN_PIXELS = 64
 _SUBPIXEL_BITS = 4
-_FLAT_PIXELS = 64  # a patch as small as this has one colour: no texture to see, and half of the time
-_SUBPIXELS = 1 << _SUBPIXEL_BITS
+_COARSE_BITS = 2  # what is hidden is found on an image of a quarter of the width and height
+_FLAT_COARSE_PIXELS = 6  # a face that shows as little as this has one colour: no texture to see
+_SMALL_WINDOW_PIXELS = 2048  # drawn whole: looking for the part that shows would take longer
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +43,12 @@ class Pinhole:
 
 
 class _View(NamedTuple):
-    """One visible face as the camera sees it (a tuple: thousands are made each second)."""
+    """One face as the camera sees it (a tuple: thousands are made each second)."""
 
     face: int
-    outline: FloatArray  # (corners, 2) pixels
+    outline: NDArray[np.int32]  # (corners, 2) in 1/16 pixels
+    cut: bool  # a part of it is behind the camera
     window: Sequence[int]  # left, top, right, bottom in pixels
-    plane: Sequence[float]  # slope_x, slope_y, offset: 1 / depth is linear in the image
-    nearest: float  # the largest 1 / depth
     texel_from_pixel: FloatArray  # (3, 3) homography
     level: int
 
@@ -67,34 +61,39 @@ class Renderer:
         self._texture: Texture = texture
         self._seed = seed
         self._faces = faces_of(boxes, seed)
+        self._occlusion = Occlusion(boxes)
         shape = (camera.height, camera.width)
         self._frame: Image = np.zeros((*shape, 3), np.uint8)
-        self._inverse_depth = np.zeros(shape, np.float32)
-        self._columns = np.arange(camera.width, dtype=np.float32)
-        self._rows = np.arange(camera.height, dtype=np.float32)[:, None]
+        self._coarse = np.zeros([(side >> _COARSE_BITS) + 1 for side in shape], np.int32)
         self._sky = _sky(camera)
+        self._views: list[_View] = []
+        self._planes: FloatArray = np.zeros((0, 3))
         self._random = np.random.default_rng([seed, _STREAM, camera.width])
         margin = _NOISE_MARGIN_PIXELS
         grain = self._random.normal(0, LOOKS[texture].noise, (shape[0] + margin, shape[1] + margin, 3))
-        self._noise = np.round(grain).astype(np.int16)
+        # In two parts because OpenCV adds bytes to bytes ten times as fast as words to bytes.
+        grain = np.round(grain)
+        self._brighter = np.clip(grain, 0, 255).astype(np.uint8)
+        self._darker = np.clip(-grain, 0, 255).astype(np.uint8)
 
     def draw(self, map_from_optical: FloatArray) -> Image:
         """A (height, width, 3) BGR frame; valid until the next call."""
         optical_from_map = inverse(map_from_optical)
-        self._frame[:] = self._sky
-        self._inverse_depth[:] = 0.0
-        faces = self._faces
         turn, shift = optical_from_map[:3, :3], optical_from_map[:3, 3]
-        corner = faces.corner_m @ turn.T + shift
-        edge_u, edge_v = faces.edge_u_m @ turn.T, faces.edge_v_m @ turn.T
-        normal = faces.normal @ turn.T
-        distance = np.einsum("fi,fi->f", corner, normal)
-        corners = np.stack([corner, corner + edge_u, corner + edge_u + edge_v, corner + edge_v], axis=1)
-        order = self._visible(corners, distance)
-        planes = normal[order] / distance[order, None]
-        views = self._views(order, corners[order], edge_u[order], edge_v[order], planes)
-        for view in views:
-            self._draw_face(view)
+        faces, eye_m = self._faces, map_from_optical[:3, 3]
+        corners = (faces.corners_m.reshape(-1, 3) @ turn.T + shift).reshape(faces.corners_m.shape)
+        distance = faces.offset_m - faces.normal @ eye_m  # negative: the camera sees its outside
+        shown = self._in_view(corners, distance)
+        self._planes = (faces.normal @ turn.T) / np.where(distance == 0.0, 1.0, distance)[:, None]
+        self._views = self._far_to_near(shown, corners[shown], eye_m)
+        self._frame[:] = self._sky
+        visible = self._visible_coarse_pixels()
+        for number, (view, pixels) in enumerate(zip(self._views, visible, strict=True), start=1):
+            kind, shade = faces.kinds[view.face], faces.shade[view.face]
+            colour = mean_colour(kind, self._texture, self._seed, shade)
+            cv2.fillConvexPoly(self._frame, view.outline, colour, shift=_SUBPIXEL_BITS)
+            if pixels > _FLAT_COARSE_PIXELS:
+                self._put_texture(view, self._part_that_shows(number, view))
         return self._frame
 
     def expose(self, map_from_optical: FloatArray) -> Image:
@@ -102,18 +101,25 @@ class Renderer:
         frame = self.draw(map_from_optical)
         row, column = self._random.integers(0, _NOISE_MARGIN_PIXELS, 2)
         height, width = frame.shape[:2]
-        noise = self._noise[row : row + height, column : column + width]
-        noisy: Image = cv2.add(frame, noise, dtype=cv2.CV_8U)
+        window = (slice(row, row + height), slice(column, column + width))
+        noisy: Image = cv2.subtract(cv2.add(frame, self._brighter[window]), self._darker[window])
         return noisy
 
-    def depth_m(self) -> NDArray[np.float32]:
-        """Depth along the optical axis of the last frame drawn; +inf where there is sky."""
-        with np.errstate(divide="ignore"):
-            depth: NDArray[np.float32] = np.float32(1.0) / self._inverse_depth
+    def depth_m(self) -> NDArray[np.float64]:
+        """Depth along the optical axis of the last frame drawn, (height, width); +inf where there is sky."""
+        camera = self.camera
+        nearest = np.full((camera.height, camera.width), -1, np.int32)
+        for view in self._views:
+            cv2.fillConvexPoly(nearest, view.outline, view.face, shift=_SUBPIXEL_BITS)
+        rows, columns = np.nonzero(nearest >= 0)
+        rays = np.stack([columns, rows, np.ones(rows.size)], axis=1) @ np.linalg.inv(camera.matrix).T
+        depth = np.full(nearest.shape, np.inf)
+        # A plane is normal / distance in the optical frame, so that plane . ray = 1 / depth.
+        depth[rows, columns] = 1.0 / np.einsum("pi,pi->p", self._planes[nearest[rows, columns]], rays)
         return depth
 
-    def _visible(self, corners: FloatArray, distance: FloatArray) -> NDArray[np.intp]:
-        """Faces that look at the camera and touch its frustum, nearest first."""
+    def _in_view(self, corners: FloatArray, distance: FloatArray) -> NDArray[np.intp]:
+        """Faces that look at the camera and touch its frustum."""
         depth = corners[:, :, 2]
         reach_x = (self.camera.width / 2) / self.camera.focal_pixels
         reach_y = (self.camera.height / 2) / self.camera.focal_pixels
@@ -125,45 +131,48 @@ class Renderer:
             | (y < -reach_y * depth).all(axis=1)
             | (y > reach_y * depth).all(axis=1)
         )
-        seen = np.flatnonzero((distance < -1e-6) & ~outside)
-        return seen[np.argsort(depth[seen].mean(axis=1), kind="stable")]
+        return np.flatnonzero((distance < -1e-6) & ~outside)
 
-    def _views(
-        self,
-        order: NDArray[np.intp],
-        corners: FloatArray,
-        edge_u: FloatArray,
-        edge_v: FloatArray,
-        planes: FloatArray,
-    ) -> list[_View]:
-        """What drawing needs to know of each visible face; all faces at once, for speed.
+    def _far_to_near(self, shown: NDArray[np.intp], corners: FloatArray, eye_m: FloatArray) -> list[_View]:
+        """What drawing needs to know of each face; all faces at once, for speed.
 
-        planes: normal / distance in the optical frame, so that plane . ray = 1 / depth.
+        corners: (V, 4, 3) of the faces `shown`, in the optical frame.
         """
-        camera = self.camera
+        if shown.size == 0:
+            return []
         depth = np.maximum(corners[:, :, 2], _NEAR_M)
-        outlines: list[FloatArray] = list(self._project(corners, depth))
-        for index in np.flatnonzero(corners[:, :, 2].min(axis=1) < _NEAR_M):
+        pixels = self._project(corners, depth)
+        low, high = pixels.min(axis=1), pixels.max(axis=1)
+        outlines = list(np.rint(pixels * (1 << _SUBPIXEL_BITS)).astype(np.int32))
+        cut = corners[:, :, 2].min(axis=1) < _NEAR_M
+        for index in np.flatnonzero(cut):
             polygon = _clip_near(corners[index])
-            outlines[index] = self._project(polygon, polygon[:, 2])
-        low = np.maximum([outline.min(axis=0) for outline in outlines], 0).astype(int)
-        high = np.array([outline.max(axis=0) for outline in outlines]).astype(int) + 2
-        high = np.minimum(high, (camera.width, camera.height))
-        slopes = planes[:, :2] / camera.focal_pixels
-        offsets = planes[:, 2] - slopes @ camera.matrix[:2, 2]
-        level = levels_of(camera.focal_pixels / depth.mean(axis=1))
-        warps = self._warps(order, corners[:, 0], edge_u, edge_v, level)
-        rows = zip(
-            order.tolist(),
-            outlines,
-            np.concatenate([low, high], axis=1).tolist(),
-            np.column_stack([slopes, offsets]).tolist(),
-            (1.0 / depth.min(axis=1)).tolist(),
-            warps,
-            level.tolist(),
-            strict=True,
+            outline = self._project(polygon, polygon[:, 2])
+            low[index], high[index] = outline.min(axis=0), outline.max(axis=0)
+            outlines[index] = np.rint(outline * (1 << _SUBPIXEL_BITS)).astype(np.int32)
+        size = (self.camera.width, self.camera.height)
+        windows = np.concatenate(
+            [np.maximum(low, 0).astype(int), np.minimum(high, size).astype(int) + 1], axis=1
         )
-        return [_View(*row) for row in rows]
+        windows[:, 2:] = np.minimum(windows[:, 2:], size)
+        level = levels_of(self.camera.focal_pixels / depth.mean(axis=1))
+        warps = self._warps(corners, self._faces.lengths_m[shown], level)
+        rows = (shown.tolist(), outlines, cut.tolist(), windows.tolist(), warps, level.tolist())
+        views = [_View(*row) for row in zip(*rows, strict=True)]
+        return [views[index] for index in self._order(shown, windows, eye_m)]
+
+    def _order(self, shown: NDArray[np.intp], windows: NDArray[np.intp], eye_m: FloatArray) -> list[int]:
+        """Places in `shown`, far to near; the faces that one box shows do not hide each other."""
+        box = self._faces.box[shown]
+        first = np.flatnonzero(np.diff(box, prepend=-1))
+        around = np.concatenate(
+            [np.minimum.reduceat(windows[:, :2], first), np.maximum.reduceat(windows[:, 2:], first)], axis=1
+        )
+        rank = np.empty(self._faces.box[-1] + 1, dtype=np.intp)
+        ordered = self._occlusion.far_to_near(eye_m, box[first], around)
+        rank[ordered] = np.arange(ordered.size)
+        order: list[int] = np.argsort(rank[box], kind="stable").tolist()
+        return order
 
     def _project(self, points: FloatArray, depth: FloatArray) -> FloatArray:
         """(..., 2) pixels of (..., 3) points in the optical frame."""
@@ -173,71 +182,74 @@ class Renderer:
 
     def _warps(
         self,
-        order: NDArray[np.intp],
-        corner: FloatArray,
-        edge_u: FloatArray,
-        edge_v: FloatArray,
+        corners: FloatArray,
+        lengths_m: FloatArray,
         level: NDArray[np.intp],
     ) -> FloatArray:
-        """(V, 3, 3) texel_from_pixel homographies."""
-        scale = 0.5**level
-        # Texel -> metres along the edges -> optical frame -> pixel; the warp wants the inverse.
-        along = np.stack([_unit(edge_u), _unit(edge_v), corner], axis=2)
-        texel_from_metres = np.zeros((order.size, 3, 3))
-        texel_from_metres[:, 0, 0] = texel_from_metres[:, 1, 1] = TEXELS_PER_M * scale
-        texel_from_metres[:, :2, 2] = self._faces.texture_origin[order] * scale[:, None]
-        texel_from_metres[:, 2, 2] = 1.0
-        homographies: FloatArray = texel_from_metres @ np.linalg.inv(self.camera.matrix @ along)
-        return homographies
+        """(V, 3, 3) texel_from_pixel homographies, to a face's own piece of texture."""
+        corner = corners[:, 0]
+        edge_u = (corners[:, 1] - corner) / lengths_m[:, :1]
+        edge_v = (corners[:, 3] - corner) / lengths_m[:, 1:]
+        pixel_from_metres = self.camera.matrix @ np.stack([edge_u, edge_v, corner], axis=2)
+        warps: FloatArray = np.asarray(np.linalg.inv(pixel_from_metres), dtype=np.float64)
+        warps[:, :2] *= (TEXELS_PER_M * 0.5**level)[:, None, None]
+        warps[:, :2] -= 0.5 * warps[:, 2:]  # texel i covers [i, i + 1), and the warp rounds
+        return warps
 
-    def _draw_face(self, view: _View) -> None:
-        """Where the face is nearer than what is drawn already, draw it."""
+    def _visible_coarse_pixels(self) -> list[int]:
+        """Of each view, how many pixels of a coarse image are its own when all are painted."""
+        self._coarse[:] = 0
+        for number, view in enumerate(self._views, start=1):
+            cv2.fillConvexPoly(self._coarse, view.outline, number, shift=_SUBPIXEL_BITS + _COARSE_BITS)
+        counts: list[int] = np.bincount(self._coarse.ravel(), minlength=len(self._views) + 1).tolist()
+        return counts[1:]
+
+    def _part_that_shows(self, number: int, view: _View) -> Sequence[int]:
+        """The view's window less what other faces hide of it; left, top, right, bottom."""
         left, top, right, bottom = view.window
-        if right <= left or bottom <= top:
-            return
-        window = (slice(top, bottom), slice(left, right))
-        drawn = self._inverse_depth[window]
-        if drawn.min() >= view.nearest:
-            return  # all of it hidden
-        mask = np.zeros(drawn.shape, np.uint8)
-        outline = np.rint((view.outline - (left, top)) * _SUBPIXELS).astype(np.int32)
-        cv2.fillConvexPoly(mask, outline, 1, shift=_SUBPIXEL_BITS)
-        slope_x, slope_y, offset = view.plane
-        nearness = np.float32(slope_x) * self._columns[left:right] + (
-            np.float32(slope_y) * self._rows[top:bottom] + np.float32(offset)
+        if (right - left) * (bottom - top) < _SMALL_WINDOW_PIXELS:
+            return view.window
+        across, down = left >> _COARSE_BITS, top >> _COARSE_BITS
+        coarse = self._coarse[down : (bottom >> _COARSE_BITS) + 1, across : (right >> _COARSE_BITS) + 1]
+        x, y, width, height = cv2.boundingRect((coarse == number).view(np.uint8))
+        # One coarse pixel more on each side: it stands for the middle of its sixteen.
+        return (
+            max(left, (across + x - 1) << _COARSE_BITS),
+            max(top, (down + y - 1) << _COARSE_BITS),
+            min(right, (across + x + width + 1) << _COARSE_BITS),
+            min(bottom, (down + y + height + 1) << _COARSE_BITS),
         )
-        visible = nearness > drawn
-        visible &= mask.view(np.bool_)
-        x, y, width, height = cv2.boundingRect(visible.view(np.uint8))
-        if width == 0:
-            return
-        np.copyto(drawn, nearness, where=visible)
-        self._paint(view, (left + x, top + y), visible[y : y + height, x : x + width])
 
-    def _paint(self, view: _View, origin: tuple[int, int], visible: NDArray[np.bool_]) -> None:
-        """Put the face's texture where it is visible; origin: (left, top) of that window in the frame."""
-        left, top = origin
-        height, width = visible.shape
+    def _put_texture(self, view: _View, window: Sequence[int]) -> None:
+        """Warp the face's piece of texture into a window of the frame."""
+        faces = self._faces
+        texture = piece(
+            faces.kinds[view.face],
+            self._texture,
+            self._seed,
+            view.level,
+            faces.shade[view.face],
+            faces.size_m[view.face],
+            faces.variant[view.face],
+        )
+        if texture.size == 0:
+            return
+        left, top, right, bottom = window
+        target = self._frame[top:bottom, left:right]
         warp = view.texel_from_pixel
         warp[:, 2] += warp[:, 0] * left + warp[:, 1] * top
-        kind, shade = self._faces.kinds[view.face], int(self._faces.shade[view.face])
-        target = self._frame[top : top + height, left : left + width]
-        if visible.size <= _FLAT_PIXELS:
-            target[visible] = mean_colour(kind, self._texture, self._seed, shade)
+        size = (right - left, bottom - top)
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP  # a quarter of the time of INTER_LINEAR
+        if not view.cut:
+            # Pixels whose texel is off the texture are outside of the outline, and stay as they are.
+            cv2.warpPerspective(texture, warp, size, target, flags, borderMode=cv2.BORDER_TRANSPARENT)
             return
-        image = cv2.warpPerspective(
-            shaded(kind, self._texture, self._seed, view.level, shade),
-            warp,
-            (width, height),
-            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,  # a seventh of the time of INTER_LINEAR
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        cv2.copyTo(image, visible.view(np.uint8), target)
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    unit: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return unit
+        # What is behind the camera would show in the sky: only the outline is drawn.
+        image = cv2.warpPerspective(texture, warp, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        mask = np.zeros(image.shape[:2], np.uint8)
+        offset = np.array([left, top], np.int32) << _SUBPIXEL_BITS
+        cv2.fillConvexPoly(mask, view.outline - offset, 1, shift=_SUBPIXEL_BITS)
+        cv2.copyTo(image, mask, target)
 
 
 def _clip_near(corners: FloatArray) -> FloatArray:
@@ -254,5 +266,5 @@ def _clip_near(corners: FloatArray) -> FloatArray:
 def _sky(camera: Pinhole) -> Image:
     ratio = np.linspace(0.0, 1.0, camera.height)[:, None, None]
     colour = (1 - ratio) * np.array([205, 175, 150]) + ratio * np.array([225, 218, 210])
-    sky: Image = np.broadcast_to(colour, (camera.height, camera.width, 3)).astype(np.uint8)
+    sky: Image = np.broadcast_to(colour, (camera.height, camera.width, 3)).astype(np.uint8, order="C")
     return sky

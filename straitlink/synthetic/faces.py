@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from straitlink.synthetic.rigid import FloatArray
 from straitlink.synthetic.scene import Box
-from straitlink.synthetic.textures import SIDE_M, TEXELS_PER_M, shade_of
+from straitlink.synthetic.textures import SIDE_M, VARIANTS, shade_of
 
 _SUN = np.array([-0.45, 0.35, 0.82]) / np.linalg.norm([-0.45, 0.35, 0.82])
 _AMBIENT = 0.45
@@ -19,39 +19,47 @@ _STREAM = 105
 
 @dataclass(frozen=True, slots=True)
 class Faces:
-    """Rectangles of at most SIDE_M, in the frame `map`; arrays with one row per face."""
+    """Rectangles of at most SIDE_M, in the frame `map`; arrays with one row per face, boxes in order."""
 
-    corner_m: FloatArray  # (F, 3)
-    edge_u_m: FloatArray  # (F, 3)
-    edge_v_m: FloatArray  # (F, 3)
+    corners_m: FloatArray  # (F, 4, 3): corner, + edge u, + both, + edge v; counter-clockwise from outside
+    lengths_m: FloatArray  # (F, 2) of edges u and v
+    size_m: tuple[tuple[float, float], ...]  # the same, to the micrometre
     normal: FloatArray  # (F, 3), outwards
-    shade: NDArray[np.intp]  # (F,)
-    texture_origin: FloatArray  # (F, 2) texels at full resolution
+    offset_m: FloatArray  # (F,): normal . x on the face
+    shade: tuple[int, ...]
+    variant: tuple[int, ...]  # which piece of the texture it shows
     kinds: tuple[str, ...]
+    box: NDArray[np.intp]  # (F,) which box it belongs to
 
 
 def faces_of(boxes: Sequence[Box], seed: int) -> Faces:
     """The six sides of every box, large ones cut into panels, each with its own piece of texture."""
     random = np.random.default_rng([seed, _STREAM])
-    rows: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
-    kinds: list[str] = []
-    for box in boxes:
-        tone = random.uniform(0.88, 1.12)
+    panels: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    owners: list[int] = []
+    for index, box in enumerate(boxes):
         for axis in range(3):
             for sign in (-1.0, 1.0):
-                for panel in _panels(box, axis, sign):
-                    rows.append((*panel, np.array([tone])))
-                    kinds.append(box.kind)
-    corner, edge_u, edge_v = (np.array([row[i] for row in rows]) for i in range(3))
+                panels += _panels(box, axis, sign)
+        owners += [index] * (len(panels) - len(owners))
+    box_of = np.array(owners, dtype=np.intp)
+    corner, edge_u, edge_v = np.array(panels).transpose(1, 0, 2)
     normal = np.cross(edge_u, edge_v)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    tones = np.array([row[3][0] for row in rows])
+    tones = random.uniform(0.88, 1.12, len(boxes))[box_of]
     light = tones * (_AMBIENT + (1 - _AMBIENT) * np.clip(normal @ _SUN, 0.0, 1.0))
     lengths = np.stack([np.linalg.norm(edge_u, axis=1), np.linalg.norm(edge_v, axis=1)], axis=1)
-    spare = np.maximum(SIDE_M - lengths, 0.0) * TEXELS_PER_M
-    origin = spare * random.random(spare.shape)
-    shades = np.array([shade_of(value) for value in light], dtype=np.intp)
-    return Faces(corner, edge_u, edge_v, normal, shades, origin, tuple(kinds))
+    return Faces(
+        corners_m=np.stack([corner, corner + edge_u, corner + edge_u + edge_v, corner + edge_v], axis=1),
+        lengths_m=lengths,
+        size_m=tuple((u, v) for u, v in np.round(lengths, 6).tolist()),
+        normal=normal,
+        offset_m=np.einsum("fi,fi->f", normal, corner),
+        shade=tuple(shade_of(value) for value in light.tolist()),
+        variant=tuple(random.integers(VARIANTS, size=len(owners)).tolist()),
+        kinds=tuple(boxes[owner].kind for owner in owners),
+        box=box_of,
+    )
 
 
 def _panels(box: Box, axis: int, sign: float) -> list[tuple[FloatArray, FloatArray, FloatArray]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from straitlink.synthetic.gait import foot_poses, walking_pose
-from straitlink.synthetic.joints import JOINT_NAMES, joint_positions
+from straitlink.synthetic.joints import JOINT_NAMES, joint_positions, upper_body_positions
 from straitlink.synthetic.rigid import (
     FloatArray,
     inverse,
@@ -82,13 +82,13 @@ def dynamic_transforms(times_s: FloatArray, seed: int) -> FloatArray:
 
 def map_from_torso(times_s: FloatArray, seed: int) -> FloatArray:
     """(T, 4, 4), exact."""
-    poses: FloatArray = walking_pose(times_s) @ _base_from_torso(joint_positions(times_s, seed))
+    poses: FloatArray = walking_pose(times_s) @ _base_from_torso(upper_body_positions(times_s, seed))
     return poses
 
 
 def map_from_head(times_s: FloatArray, seed: int) -> FloatArray:
     """(T, 4, 4), exact."""
-    positions = joint_positions(times_s, seed)
+    positions = upper_body_positions(times_s, seed)
     torso_from_head = transform(rotation_about(1, positions[:, _NECK]), _HEAD_M)
     poses: FloatArray = walking_pose(times_s) @ _base_from_torso(positions) @ torso_from_head
     return poses

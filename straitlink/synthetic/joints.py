@@ -82,9 +82,15 @@ def _upper_body_waves(seed: int) -> tuple[FloatArray, FloatArray]:
 
 def joint_positions(times_s: FloatArray, seed: int) -> FloatArray:
     """(T, 28) radians in the order of JOINT_LIMITS, without noise; the legs keep the soles on the ground."""
-    angular_rate, phase = _upper_body_waves(seed)
-    upper = _REST_RAD + _SWING_RAD * np.sin(times_s[:, None] * angular_rate + phase)
+    upper = upper_body_positions(times_s, seed)
     return np.concatenate([upper, _leg(times_s, left=True), _leg(times_s, left=False)], axis=1)
+
+
+def upper_body_positions(times_s: FloatArray, seed: int) -> FloatArray:
+    """(T, 16) radians: the first of `joint_positions`, back, neck and arms, which need no kinematics."""
+    angular_rate, phase = _upper_body_waves(seed)
+    positions: FloatArray = _REST_RAD + _SWING_RAD * np.sin(times_s[:, None] * angular_rate + phase)
+    return positions
 
 
 def joint_velocities(times_s: FloatArray, seed: int) -> FloatArray:

@@ -78,25 +78,27 @@ class BoxField:
         chosen = np.arange(len(self._radii)) if among is None else among
         if chosen.size == 0:
             return np.full(len(rays.origins_m), np.inf), np.zeros(len(rays.origins_m))
-        turn = self._box_from_map[chosen].transpose(1, 0, 2).reshape(-1, 3)  # (3N, 3), axis first
-        shape = (3, chosen.size, len(rays.origins_m))
-        direction = (turn @ rays.directions.T).reshape(shape)
-        offset = np.einsum("nij,nj->in", self._box_from_map[chosen], self._centres[chosen])
-        origin = (turn @ rays.origins_m.T).reshape(shape) - offset[:, :, None]
+        # (N, 3, B). One small product per box: a large one wakes the threads of the BLAS, which cost
+        # as much CPU as the rest of the log.
+        turn = self._box_from_map[chosen]
+        direction = turn @ np.ascontiguousarray(rays.directions.T)
+        offset = np.einsum("nij,nj->ni", turn, self._centres[chosen])
+        origin = turn @ np.ascontiguousarray(rays.origins_m.T) - offset[:, :, None]
         # A ray parallel to a slab gets a huge but finite slope: 0 * inf would be NaN.
         direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
         slope = 1.0 / direction
         middle = -origin * slope
-        half = self._half_sizes[chosen].T[:, :, None] * np.abs(slope)
+        half = self._half_sizes[chosen][:, :, None] * np.abs(slope)
         enter = middle - half
-        near = enter.max(axis=0)
-        far = (middle + half).min(axis=0)
+        near = np.maximum(np.maximum(enter[:, 0], enter[:, 1]), enter[:, 2])
+        leave = middle + half
+        far = np.minimum(np.minimum(leave[:, 0], leave[:, 1]), leave[:, 2])
         ranges = np.where((near <= far) & (near > 0), near, np.inf)
         nearest = np.argmin(ranges, axis=0)
-        beam = np.arange(shape[2])
+        beam = np.arange(nearest.size)
         true_range = ranges[nearest, beam]
-        face = np.argmax(enter[:, nearest, beam], axis=0)
-        cosine = np.abs(direction[face, nearest, beam])
+        face = np.argmax(enter[nearest, :, beam], axis=1)
+        cosine = np.abs(direction[nearest, face, beam])
         strength = np.where(np.isfinite(true_range), self._reflectivity[chosen][nearest] * cosine, 0.0)
         return true_range, strength
 

@@ -15,6 +15,7 @@ Image = NDArray[np.uint8]
 
 TEXELS_PER_M = 384  # more than the head camera resolves 1.6 m away, nearer than which it hardly comes
 SIDE_M = 2.0  # of the square that a texture covers
+VARIANTS = 4  # pieces that a small face may show of it: few enough to stay in the processor's cache
 _SIDE = int(TEXELS_PER_M * SIDE_M)
 _LEVELS = 7
 _SHADES = 8
@@ -78,11 +79,33 @@ def shaded(kind: str, preset: Texture, seed: int, level: int, shade: int) -> Ima
     return image
 
 
+@lru_cache(maxsize=4096)
+def piece(
+    kind: str,
+    preset: Texture,
+    seed: int,
+    level: int,
+    shade: int,
+    size_m: tuple[float, float],
+    variant: int,
+) -> Image:
+    """What a face of size_m (along u, v; at most SIDE_M) shows of a texture; variant: 0..VARIANTS-1.
+
+    Has no texels where the face is narrower than one.
+    """
+    image = shaded(kind, preset, seed, level, shade)
+    texels_per_m = TEXELS_PER_M * 0.5**level
+    columns, rows = (int(side_m * texels_per_m + 1e-6) for side_m in size_m)
+    left = (image.shape[1] - columns) * variant // VARIANTS
+    top = (image.shape[0] - rows) * variant // VARIANTS
+    return np.ascontiguousarray(image[top : top + rows, left : left + columns])
+
+
 @lru_cache(maxsize=128)
-def mean_colour(kind: str, preset: Texture, seed: int, shade: int) -> Image:
-    """(3,) BGR: what is left of a texture from far away."""
-    colour: Image = shaded(kind, preset, seed, _LEVELS - 1, shade).mean(axis=(0, 1)).astype(np.uint8)
-    return colour
+def mean_colour(kind: str, preset: Texture, seed: int, shade: int) -> tuple[int, int, int]:
+    """BGR: what is left of a texture from far away."""
+    blue, green, red = shaded(kind, preset, seed, _LEVELS - 1, shade).mean(axis=(0, 1)).astype(int).tolist()
+    return blue, green, red
 
 
 def shade_of(light_ratio: float) -> int:

@@ -42,16 +42,17 @@ def full_second() -> list[SyntheticMessage]:
     return list(message_stream(SyntheticSettings(duration_s=1.0)))
 
 
+@pytest.mark.parametrize("settings", [LIGHT, SyntheticSettings(duration_s=1.0)], ids=["light", "full"])
 def test_equal_settings_give_equal_bytes_also_in_another_process(
-    tmp_path: Path, light_log: SyntheticSummary
+    tmp_path: Path, settings: SyntheticSettings
 ) -> None:
     script = (
         "import sys; from pathlib import Path; from straitlink.synthetic import *;"
-        "synthesize(Path(sys.argv[1]), SyntheticSettings(duration_s=2.0, light=True))"
+        f"synthesize(Path(sys.argv[1]), {settings!r})"
     )
-    other = tmp_path / "other.mcap"
+    ours, other = synthesize(tmp_path / "ours.mcap", settings).path, tmp_path / "other.mcap"
     subprocess.run([sys.executable, "-c", script, str(other)], check=True, cwd=Path(__file__).parents[2])
-    digests = {hashlib.sha256(path.read_bytes()).hexdigest() for path in (light_log.path, other)}
+    digests = {hashlib.sha256(path.read_bytes()).hexdigest() for path in (ours, other)}
     assert len(digests) == 1
 
 

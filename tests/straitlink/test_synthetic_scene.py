@@ -32,6 +32,7 @@ from straitlink.synthetic.joints import (
     joint_velocities,
 )
 from straitlink.synthetic.lidar import BEAMS, BoxField, Rays, Scanner
+from straitlink.synthetic.occlusion import Occlusion
 from straitlink.synthetic.rigid import FloatArray, quaternion_from_rotation, rotation_from_rpy
 from straitlink.synthetic.scene import Box, build_scene
 
@@ -182,13 +183,15 @@ def test_a_quaternion_says_the_same_as_its_rotation(rpy: tuple[float, float, flo
     np.testing.assert_allclose(turned, rotation @ vector, atol=1e-9)
 
 
-def test_the_camera_sees_what_the_rays_hit() -> None:
-    camera = Pinhole(320, 170, 190.0)
-    renderer = Renderer(SCENE, camera, "indoor", seed=1)
-    pose = (map_from_head(np.array([30.0]), 1) @ HEAD_FROM_HEAD_CAMERA)[0]
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("time_s", [2.0, 14.0, 30.0, 60.0])
+def test_the_camera_sees_what_the_rays_hit(seed: int, time_s: float) -> None:
+    scene, camera = build_scene(seed), Pinhole(640, 340, 381.0)
+    renderer = Renderer(scene, camera, "indoor", seed)
+    pose = (map_from_head(np.array([time_s]), seed) @ HEAD_FROM_HEAD_CAMERA)[0]
     frame = renderer.draw(pose).copy()
     assert frame.std() > 10  # a picture, not one colour
-    rows, columns = np.mgrid[4:170:12, 4:320:12]
+    rows, columns = np.mgrid[4:340:12, 4:640:12]
     middle = camera.matrix[:2, 2]
     optical = np.stack(
         [
@@ -200,13 +203,26 @@ def test_the_camera_sees_what_the_rays_hit() -> None:
     )
     directions = optical @ pose[:3, :3].T
     origins = np.broadcast_to(pose[:3, 3], directions.shape)
-    truth, _ = BoxField(SCENE).cast(Rays(np.array(origins), directions))  # not unit: range = depth
+    truth, _ = BoxField(scene).cast(Rays(np.array(origins), directions))  # not unit: range = depth
     drawn = renderer.depth_m()[rows.ravel(), columns.ravel()]
-    both = np.isfinite(truth) & np.isfinite(drawn)
-    agree = np.abs(truth[both] - drawn[both]) < 0.01 * truth[both]
-    # The rest are pixels on an outline, where half a pixel decides which surface is seen.
-    assert agree.mean() > 0.95
-    assert (np.isfinite(truth) == np.isfinite(drawn)).mean() > 0.98
+    # Where not, it is a pixel on an outline, or one of the few places where two boxes intersect.
+    agree = np.isclose(truth, drawn, rtol=0.01)
+    assert agree.mean() > 0.98
+
+
+def test_a_box_is_painted_after_those_that_it_hides() -> None:
+    eye_m = np.array([0.0, 0.0, 1.5])
+    everywhere = np.tile([0, 0, 100, 100], (3, 1))
+    wall = Box("wall", (5.0, 0.0, 1.0), (0.2, 8.0, 2.0), np.eye(3))
+    # Its middle is further from the eye than the wall's, which it stands in front of.
+    beam = Box("debris", (4.5, 3.5, 0.1), (0.2, 0.2, 0.2), np.eye(3))
+    on_top = Box("block", (4.5, 3.5, 0.3), (0.4, 0.4, 0.2), rotation_from_rpy(0.0, 0.0, 0.7))
+    order = Occlusion([on_top, beam, wall]).far_to_near(eye_m, np.arange(3), everywhere)
+    assert order.tolist() == [2, 1, 0]
+    seen_from_below = Occlusion([on_top, beam, wall]).far_to_near(
+        np.array([0.0, 0.0, -9.0]), np.arange(3), everywhere
+    )
+    assert seen_from_below.tolist() == [2, 0, 1]
 
 
 def test_another_seed_is_another_scene_with_the_same_valve() -> None:
