@@ -61,6 +61,11 @@ class Renderer:
         self._texture: Texture = texture
         self._seed = seed
         self._faces = faces_of(boxes, seed)
+        self._colours = [
+            mean_colour(kind, texture, seed, shade)
+            for kind, shade in zip(self._faces.kinds, self._faces.shade, strict=True)
+        ]
+        self._pieces: dict[tuple[int, int], Image] = {}
         self._occlusion = Occlusion(boxes)
         shape = (camera.height, camera.width)
         self._frame: Image = np.zeros((*shape, 3), np.uint8)
@@ -89,9 +94,7 @@ class Renderer:
         self._frame[:] = self._sky
         visible = self._visible_coarse_pixels()
         for number, (view, pixels) in enumerate(zip(self._views, visible, strict=True), start=1):
-            kind, shade = faces.kinds[view.face], faces.shade[view.face]
-            colour = mean_colour(kind, self._texture, self._seed, shade)
-            cv2.fillConvexPoly(self._frame, view.outline, colour, shift=_SUBPIXEL_BITS)
+            cv2.fillConvexPoly(self._frame, view.outline, self._colours[view.face], shift=_SUBPIXEL_BITS)
             if pixels > _FLAT_COARSE_PIXELS:
                 self._put_texture(view, self._part_that_shows(number, view))
         return self._frame
@@ -220,18 +223,17 @@ class Renderer:
             min(bottom, (down + y + height + 1) << _COARSE_BITS),
         )
 
+    def _piece(self, face: int, level: int) -> Image:
+        found = self._pieces.get((face, level))
+        if found is None:
+            faces = self._faces
+            look = (faces.kinds[face], self._texture, self._seed, level, faces.shade[face])
+            found = self._pieces[face, level] = piece(*look, faces.size_m[face], faces.variant[face])
+        return found
+
     def _put_texture(self, view: _View, window: Sequence[int]) -> None:
         """Warp the face's piece of texture into a window of the frame."""
-        faces = self._faces
-        texture = piece(
-            faces.kinds[view.face],
-            self._texture,
-            self._seed,
-            view.level,
-            faces.shade[view.face],
-            faces.size_m[view.face],
-            faces.variant[view.face],
-        )
+        texture = self._piece(view.face, view.level)
         if texture.size == 0:
             return
         left, top, right, bottom = window

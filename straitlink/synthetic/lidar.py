@@ -85,13 +85,14 @@ class BoxField:
         offset = np.einsum("nij,nj->ni", turn, self._centres[chosen])
         origin = turn @ np.ascontiguousarray(rays.origins_m.T) - offset[:, :, None]
         # A ray parallel to a slab gets a huge but finite slope: 0 * inf would be NaN.
-        direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+        direction[np.abs(direction) < 1e-12] = 1e-12
         slope = 1.0 / direction
-        middle = -origin * slope
-        half = self._half_sizes[chosen][:, :, None] * np.abs(slope)
-        enter = middle - half
+        middle = np.multiply(origin, slope, out=origin)
+        half = np.abs(slope, out=slope)
+        half *= self._half_sizes[chosen][:, :, None]
+        enter = -middle - half
         near = np.maximum(np.maximum(enter[:, 0], enter[:, 1]), enter[:, 2])
-        leave = middle + half
+        leave = np.subtract(half, middle, out=half)
         far = np.minimum(np.minimum(leave[:, 0], leave[:, 1]), leave[:, 2])
         ranges = np.where((near <= far) & (near > 0), near, np.inf)
         nearest = np.argmin(ranges, axis=0)

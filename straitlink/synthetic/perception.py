@@ -12,6 +12,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
 
 from messages.catalogue import CatalogueTopic
+from shaper.varint import append_varint
 from straitlink.synthetic.camera import Pinhole, Renderer
 from straitlink.synthetic.fisheye import FisheyeRenderer
 from straitlink.synthetic.frames import (
@@ -57,9 +58,16 @@ def scans(topic: CatalogueTopic, settings: SyntheticSettings, boxes: Sequence[Bo
         for capture_ns, start_s in zip(block.capture_ns.tolist(), block.times_s.tolist(), strict=True):
             scan = scanner.scan(start_s)
             stamp(message.timestamp, capture_ns)
-            message.ranges[:] = scan.ranges_m.tolist()
-            message.intensities[:] = scan.intensities.tolist()
-            yield capture_ns, message.SerializeToString()
+            yield (
+                capture_ns,
+                b"".join(
+                    (
+                        message.SerializeToString(),
+                        _packed(LaserScan.RANGES_FIELD_NUMBER, scan.ranges_m),
+                        _packed(LaserScan.INTENSITIES_FIELD_NUMBER, scan.intensities),
+                    )
+                ),
+            )
 
 
 def head_images(topic: CatalogueTopic, settings: SyntheticSettings, boxes: Sequence[Box]) -> Samples:
@@ -123,6 +131,15 @@ PERCEPTION_SOURCES: dict[str, Callable[[CatalogueTopic, SyntheticSettings, Seque
     "robot/chest_camera/image": chest_images,
     "robot/chest_camera/calibration": chest_calibration,
 }
+
+
+def _packed(field_number: int, values: FloatArray) -> bytes:
+    """A repeated double as protobuf writes it: the array's own bytes, without a list of Python floats."""
+    data = values.astype("<f8", copy=False).tobytes()
+    head = bytearray()
+    append_varint(head, field_number << 3 | 2)  # wire type 2: length-delimited
+    append_varint(head, len(data))
+    return bytes(head) + data
 
 
 def _images(

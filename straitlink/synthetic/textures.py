@@ -72,13 +72,6 @@ def texture_pyramid(kind: str, preset: Texture, seed: int) -> tuple[Image, ...]:
     return tuple(levels)
 
 
-@lru_cache(maxsize=512)
-def shaded(kind: str, preset: Texture, seed: int, level: int, shade: int) -> Image:
-    """One level of a pyramid under one of the lights: shade in 0.._SHADES."""
-    image: Image = cv2.convertScaleAbs(texture_pyramid(kind, preset, seed)[level], alpha=shade / _SHADES)
-    return image
-
-
 @lru_cache(maxsize=4096)
 def piece(
     kind: str,
@@ -89,23 +82,32 @@ def piece(
     size_m: tuple[float, float],
     variant: int,
 ) -> Image:
-    """What a face of size_m (along u, v; at most SIDE_M) shows of a texture; variant: 0..VARIANTS-1.
+    """What a face of size_m (along u, v; at most SIDE_M) shows of a texture under one of the lights.
 
+    shade: as `shade_of` says. variant: 0..VARIANTS-1.
     Has no texels where the face is narrower than one.
     """
-    image = shaded(kind, preset, seed, level, shade)
+    image = texture_pyramid(kind, preset, seed)[level]
     texels_per_m = TEXELS_PER_M * 0.5**level
     columns, rows = (int(side_m * texels_per_m + 1e-6) for side_m in size_m)
     left = (image.shape[1] - columns) * variant // VARIANTS
     top = (image.shape[0] - rows) * variant // VARIANTS
-    return np.ascontiguousarray(image[top : top + rows, left : left + columns])
+    return _lit(image[top : top + rows, left : left + columns], shade)
 
 
 @lru_cache(maxsize=128)
 def mean_colour(kind: str, preset: Texture, seed: int, shade: int) -> tuple[int, int, int]:
     """BGR: what is left of a texture from far away."""
-    blue, green, red = shaded(kind, preset, seed, _LEVELS - 1, shade).mean(axis=(0, 1)).astype(int).tolist()
+    smallest = texture_pyramid(kind, preset, seed)[-1]
+    blue, green, red = _lit(smallest, shade).mean(axis=(0, 1)).astype(int).tolist()
     return blue, green, red
+
+
+def _lit(image: Image, shade: int) -> Image:
+    if image.size == 0:
+        return image
+    lit: Image = cv2.convertScaleAbs(image, alpha=shade / _SHADES)
+    return lit
 
 
 def shade_of(light_ratio: float) -> int:
