@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .band import IP_UDP_HEADER_BYTES, Band, DirectionProfile, JitterShape, Profile, ProfileError
+from .band import (
+    IP_UDP_HEADER_BYTES,
+    Band,
+    BurstLoss,
+    DirectionProfile,
+    JitterShape,
+    Order,
+    Profile,
+    ProfileError,
+)
 
 _NS_PER_S = 1_000_000_000
 _NS_PER_MS = 1_000_000
@@ -23,6 +33,13 @@ class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
+class _BurstLossTable(_Table):
+    enter_bad_ratio: _Ratio
+    leave_bad_ratio: _Ratio
+    bad_loss_ratio: _Ratio = 1.0
+    good_loss_ratio: _Ratio = 0.0
+
+
 class _BandTable(_Table):
     duration_s: _Seconds
     rate_bps: Annotated[int, Field(ge=0)]
@@ -32,6 +49,8 @@ class _BandTable(_Table):
     jitter_shape: Annotated[JitterShape, Field(strict=False)] = JitterShape.HALF_NORMAL
     duplicate_ratio: _Ratio = 0.0
     reorder: bool = False
+    corrupt_ratio: _Ratio = 0.0
+    burst_loss: _BurstLossTable | None = None
 
     def to_band(self) -> Band:
         return Band(
@@ -43,6 +62,8 @@ class _BandTable(_Table):
             jitter_shape=self.jitter_shape,
             duplicate_ratio=self.duplicate_ratio,
             reorder=self.reorder,
+            corrupt_ratio=self.corrupt_ratio,
+            burst_loss=None if self.burst_loss is None else BurstLoss(**self.burst_loss.model_dump()),
         )
 
 
@@ -53,7 +74,11 @@ class _DirectionTable(_Table):
     cyclic: bool | None = None
     buffer_s: _Seconds | None = None
     buffer_bytes: Annotated[int, Field(gt=0)] | None = None
+    buffer_packets: Annotated[int, Field(gt=0)] | None = None
     overhead_bytes: Annotated[int, Field(ge=0)] | None = None
+    minimum_bytes: Annotated[int, Field(ge=0)] | None = None
+    mtu_bytes: Annotated[int, Field(gt=0)] | None = None
+    order: Annotated[Order, Field(strict=False)] | None = None
 
 
 class _ProfileTable(_DirectionTable):
@@ -115,15 +140,24 @@ def _direction(top: _ProfileTable, own: _DirectionTable, which: str) -> Directio
         raise ProfileError(
             f"{which}.band has no entry; give [[band]] for both directions or [[{which}.band]]."
         )
-    cyclic = own.cyclic if own.cyclic is not None else top.cyclic
-    buffer_s = own.buffer_s if own.buffer_s is not None else top.buffer_s
-    overhead_bytes = own.overhead_bytes if own.overhead_bytes is not None else top.overhead_bytes
+
+    def said(field: str, default: Any) -> Any:
+        for table in (own, top):
+            if getattr(table, field) is not None:
+                return getattr(table, field)
+        return default
+
+    buffer_s = said("buffer_s", None)
     return DirectionProfile(
         bands=tuple(band.to_band() for band in bands),
-        cyclic=bool(cyclic),
+        cyclic=said("cyclic", False),
         buffer_ns=None if buffer_s is None else round(buffer_s * _NS_PER_S),
-        buffer_bytes=own.buffer_bytes if own.buffer_bytes is not None else top.buffer_bytes,
-        overhead_bytes=IP_UDP_HEADER_BYTES if overhead_bytes is None else overhead_bytes,
+        buffer_bytes=said("buffer_bytes", None),
+        overhead_bytes=said("overhead_bytes", IP_UDP_HEADER_BYTES),
+        buffer_packets=said("buffer_packets", None),
+        minimum_bytes=said("minimum_bytes", 0),
+        mtu_bytes=said("mtu_bytes", None),
+        order=said("order", Order.RATE_THEN_DELAY),
     )
 
 
@@ -131,17 +165,20 @@ def _direction_to_dict(direction: DirectionProfile) -> dict[str, object]:
     values: dict[str, object] = {
         "cyclic": direction.cyclic,
         "overhead_bytes": direction.overhead_bytes,
+        "minimum_bytes": direction.minimum_bytes,
+        "order": direction.order.value,
         "band": [_band_to_dict(band) for band in direction.bands],
     }
     if direction.buffer_ns is not None:
         values["buffer_s"] = direction.buffer_ns / _NS_PER_S
-    if direction.buffer_bytes is not None:
-        values["buffer_bytes"] = direction.buffer_bytes
+    for name in ("buffer_bytes", "buffer_packets", "mtu_bytes"):
+        if getattr(direction, name) is not None:
+            values[name] = getattr(direction, name)
     return values
 
 
 def _band_to_dict(band: Band) -> dict[str, object]:
-    return {
+    values: dict[str, object] = {
         "duration_s": band.duration_ns / _NS_PER_S,
         "rate_bps": band.rate_bps,
         "one_way_delay_ms": band.one_way_delay_ns / _NS_PER_MS,
@@ -150,7 +187,11 @@ def _band_to_dict(band: Band) -> dict[str, object]:
         "jitter_shape": band.jitter_shape.value,
         "duplicate_ratio": band.duplicate_ratio,
         "reorder": band.reorder,
+        "corrupt_ratio": band.corrupt_ratio,
     }
+    if band.burst_loss is not None:
+        values["burst_loss"] = asdict(band.burst_loss)
+    return values
 
 
 def _sentence(where: str, detail: Any) -> str:

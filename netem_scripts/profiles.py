@@ -7,47 +7,21 @@ from collections.abc import Callable
 from decimal import Decimal
 from pathlib import Path
 
+from . import field_links, finals, trials
 from .band import Band, DirectionProfile, Profile, ProfileError
+from .profile_csv import read_csv_profile
 from .profile_file import read_profile
+from .trials import TRIALS_BAND_NS, TRIALS_BUFFER_NS
 
-NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 
-# DARPA Robotics Challenge Trials, December 2013, as Team MIT's paper reports it: 1 Mbit/s with 50 ms and
-# 100 kbit/s with 500 ms, one way, changing over each minute. Their shaper's configuration agrees:
-# latency [50, 500] ms, throughput [950000, 95000] bit/s (95 %), fallback after 50 s of the fast band.
-TRIALS_FAST_BPS, TRIALS_FAST_DELAY_NS = 1_000_000, 50 * NS_PER_MS
-TRIALS_SLOW_BPS, TRIALS_SLOW_DELAY_NS = 100_000, 500 * NS_PER_MS
-TRIALS_BAND_NS = 60 * NS_PER_S
-TRIALS_BUFFER_NS = (
-    10 * NS_PER_S
-)  # same paper: the emulator buffered up to 10 s, which is how MIT's queue grew
-
-_CONSTANT = re.compile(r"constant-(\d+(?:\.\d+)?)([km]?)-(\d+(?:\.\d+)?)ms")
+_NUMBER = r"(\d+(?:\.\d+)?)"
+_CONSTANT = re.compile(
+    rf"constant-{_NUMBER}([km]?)-{_NUMBER}ms(?:-loss{_NUMBER})?(?:-jitter{_NUMBER}ms)?(?:-buffer{_NUMBER}ms)?"
+)
+_FINALS = re.compile(r"finals-(\d+)")
 _BPS_PER_UNIT = {"": 1, "k": 1_000, "m": 1_000_000}
-_CONSTANT_FORM = "constant-<rate>[k|m]-<delay>ms"
-
-
-def trials() -> Profile:
-    """The Trials as announced: fast and near, slow and far, a minute each, fast first."""
-    return _alternating(
-        "trials",
-        Band(TRIALS_BAND_NS, TRIALS_FAST_BPS, TRIALS_FAST_DELAY_NS),
-        Band(TRIALS_BAND_NS, TRIALS_SLOW_BPS, TRIALS_SLOW_DELAY_NS),
-        description="1 Mbit/s with 50 ms, 100 kbit/s with 500 ms, 60 s each, both directions together",
-        source="DRC Trials 2013, Team MIT's paper and shaper configuration",
-    )
-
-
-def trials_swapped() -> Profile:
-    """The Trials with the delays exchanged: what filled 10 s of buffer unseen by a shaper of presets."""
-    return _alternating(
-        "trials-swapped",
-        Band(TRIALS_BAND_NS, TRIALS_FAST_BPS, TRIALS_SLOW_DELAY_NS),
-        Band(TRIALS_BAND_NS, TRIALS_SLOW_BPS, TRIALS_FAST_DELAY_NS),
-        description="1 Mbit/s with 500 ms, 100 kbit/s with 50 ms, 60 s each, both directions together",
-        source="DRC Trials 2013, the settings as they were swapped there; same figures otherwise",
-    )
+_CONSTANT_FORM = "constant-<rate>[k|m]-<delay>ms[-loss<percent>][-jitter<ms>ms][-buffer<ms>ms]"
 
 
 def constant(
@@ -63,10 +37,28 @@ def constant(
     band = Band(TRIALS_BAND_NS, rate_bps, one_way_delay_ns, loss_ratio=loss_ratio, jitter_ns=jitter_ns)
     direction = DirectionProfile((band,), buffer_ns=buffer_ns)
     description = f"{rate_bps / 1000:g} kbit/s with {one_way_delay_ns / NS_PER_MS:g} ms for ever"
+    if loss_ratio:
+        description += f", loss {loss_ratio:.3g}"
+    if jitter_ns:
+        description += f", jitter {jitter_ns / NS_PER_MS:g} ms"
     return Profile(name, direction, direction, description, "parameters")
 
 
-_NAMED: dict[str, Callable[[], Profile]] = {"trials": trials, "trials-swapped": trials_swapped}
+_NAMED: dict[str, Callable[[], Profile]] = {
+    "trials": trials.trials,
+    "trials-swapped": trials.trials_swapped,
+    "trials-small-buffer": trials.trials_small_buffer,
+    "lossy-10": trials.lossy_10,
+    "lossy-20": trials.lossy_20,
+    "asymmetric": trials.asymmetric,
+    "finals": finals.finals,
+    "finals-slow": finals.finals_slow,
+    "blackouts": field_links.blackouts,
+    "blackouts-hold": field_links.blackouts_hold,
+    "satellite": field_links.satellite,
+    "lte-walk": field_links.lte_walk,
+    "hard-random": field_links.hard_random,
+}
 
 
 def profile_names() -> tuple[str, ...]:
@@ -74,31 +66,45 @@ def profile_names() -> tuple[str, ...]:
     return (*_NAMED, _CONSTANT_FORM)
 
 
+def named_profiles() -> tuple[Profile, ...]:
+    """All profiles of the table, in its order."""
+    return tuple(make() for make in _NAMED.values())
+
+
 def profile_named(name: str) -> Profile:
-    """A profile by name: one of the table, or "constant-100k-500ms", "constant-1m-50ms", and so on.
+    """A profile by name: one of the table, "constant-100k-500ms" and so on, or "finals-<seed>".
 
     Raises ProfileError, which lists what exists.
     """
     if name in _NAMED:
         return _NAMED[name]()
+    if match := _FINALS.fullmatch(name):
+        return finals.finals(int(match[1]))
     if match := _CONSTANT.fullmatch(name):
-        rate, unit, delay_ms = match.groups()
-        rate_bps = int(Decimal(rate) * _BPS_PER_UNIT[unit])
-        return constant(rate_bps, int(Decimal(delay_ms) * NS_PER_MS), name=name)
+        rate, unit, delay_ms, loss_percent, jitter_ms, buffer_ms = match.groups()
+        return constant(
+            int(Decimal(rate) * _BPS_PER_UNIT[unit]),
+            _ns(delay_ms),
+            loss_ratio=float(Decimal(loss_percent or 0) / 100),
+            jitter_ns=_ns(jitter_ms or "0"),
+            buffer_ns=TRIALS_BUFFER_NS if buffer_ms is None else _ns(buffer_ms),
+            name=name,
+        )
     raise ProfileError(f'There is no link profile "{name}"; there are {", ".join(profile_names())}.')
 
 
 def load_profile(path_or_name: str | Path) -> Profile:
-    """A profile by name, or from a TOML file (anything that ends in .toml or has a slash).
+    """A profile by name, or from a file: TOML, or CSV where its name ends in .csv.
 
-    Raises ProfileError.
+    A file is what ends in .toml or .csv, or has a slash. Raises ProfileError.
     """
     text = str(path_or_name)
+    if text.endswith(".csv"):
+        return read_csv_profile(Path(path_or_name))
     if isinstance(path_or_name, Path) or text.endswith(".toml") or "/" in text:
         return read_profile(Path(path_or_name))
     return profile_named(text)
 
 
-def _alternating(name: str, first: Band, second: Band, *, description: str, source: str) -> Profile:
-    direction = DirectionProfile((first, second), cyclic=True, buffer_ns=TRIALS_BUFFER_NS)
-    return Profile(name, direction, direction, description, source)
+def _ns(milliseconds: str) -> int:
+    return int(Decimal(milliseconds) * NS_PER_MS)

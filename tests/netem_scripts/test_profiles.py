@@ -1,13 +1,19 @@
 from __future__ import annotations
 
+import itertools
+import math
+import random
+import statistics
 import tomllib
 from pathlib import Path
 
 import pytest
 
-from netem_scripts.band import Band, DirectionProfile, JitterShape, ProfileError
+from netem_scripts.band import Band, BurstLoss, DirectionProfile, JitterShape, Order, Profile, ProfileError
+from netem_scripts.finals import blackouts_s
+from netem_scripts.link import DropReason, Link
 from netem_scripts.profile_file import profile_from_dict, profile_to_dict, read_profile
-from netem_scripts.profiles import load_profile, profile_named
+from netem_scripts.profiles import load_profile, named_profiles, profile_named
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -51,7 +57,7 @@ def test_a_constant_profile_is_read_from_its_name(name: str, rate_bps: int, dela
 @pytest.mark.parametrize("name", ["trails", "constant", "constant-100k", "constant--1k-5ms", ""])
 def test_an_unknown_name_is_answered_with_what_exists(name: str) -> None:
     with pytest.raises(
-        ProfileError, match=f'no link profile "{name}"; there are trials, trials-swapped, constant-'
+        ProfileError, match=f'no link profile "{name}"; there are trials, trials-swapped, .*, constant-'
     ):
         profile_named(name)
 
@@ -109,9 +115,10 @@ def test_a_missing_file_is_a_sentence(tmp_path: Path) -> None:
         load_profile(str(tmp_path / "none.toml"))
 
 
-@pytest.mark.parametrize("name", ["trials", "trials-swapped", "constant-9600-20ms"])
-def test_a_saved_profile_reads_back_the_same(name: str) -> None:
-    profile = profile_named(name)
+@pytest.mark.parametrize("profile", named_profiles(), ids=lambda profile: profile.name)
+def test_every_named_profile_knows_its_name_its_source_and_reads_back_the_same(profile: Profile) -> None:
+    assert profile_named(profile.name) == profile
+    assert profile.description and profile.source
     assert profile_from_dict(profile_to_dict(profile), where="saved", name="other") == profile
 
 
@@ -142,3 +149,87 @@ def test_a_band_that_makes_no_sense_is_refused(change: dict[str, float], complai
 def test_a_cycle_that_never_serves_is_refused() -> None:
     with pytest.raises(ProfileError, match="rate_bps = 0 in every band"):
         DirectionProfile((Band(S, 0, 0), Band(S, 0, 0)), cyclic=True)
+
+
+def test_a_constant_profile_takes_loss_jitter_and_buffer_from_its_name() -> None:
+    profile = profile_named("constant-1m-50ms-loss2.5-jitter10ms-buffer100ms")
+    (band,) = profile.down.bands
+    assert (band.loss_ratio, band.jitter_ns, profile.down.buffer_ns) == (0.025, 10 * MS, 100 * MS)
+
+
+def test_the_finals_have_the_blackouts_of_the_example_schedule() -> None:
+    for seed in (1, 2):
+        lengths_s = blackouts_s(seed)
+        assert len(lengths_s) == 370 and min(lengths_s) == 1 and max(lengths_s) == 30
+        assert lengths_s.count(30) == 7
+        assert statistics.median(lengths_s) == 4
+        assert statistics.mean(lengths_s) == pytest.approx(6.4, abs=0.05)
+        assert sum(lengths_s) + 370 == pytest.approx(45 * 60 + 37, abs=3)
+    assert blackouts_s(1) != blackouts_s(2) and sorted(blackouts_s(1)) == sorted(blackouts_s(2))
+    assert profile_named("finals-1") == profile_named("finals") != profile_named("finals-2")
+
+
+def test_the_finals_lose_the_fast_queue_in_the_dark_and_hold_5000_bytes_while_slow() -> None:
+    link = Link(profile_named("finals").down, random.Random(1))
+    drops = [link.transmit(1458, S - 1).drop for _ in range(300)]
+    assert drops.count(None) <= 1 and drops.count(DropReason.LOSS) >= 255
+    assert drops.count(DropReason.OVERFLOW) == 300 - 256
+    slow = [link.transmit(1458, S + 500 * MS).drop for _ in range(10)]
+    assert slow == [None] * 3 + [DropReason.OVERFLOW] * 7
+    assert link.band_at(S + 500 * MS).rate_bps == 9_600
+
+
+def test_the_walk_changes_by_an_order_of_magnitude_but_not_at_once() -> None:
+    rates_bps = [band.rate_bps for band in profile_named("lte-walk").down.bands]
+    assert max(rates_bps) > 10 * min(rates_bps)
+    assert all(abs(math.log(b / a)) < math.log(1.62) for a, b in itertools.pairwise(rates_bps))
+
+
+def test_every_field_of_a_file_reaches_the_profile(tmp_path: Path) -> None:
+    text = f"buffer_packets = 7\nminimum_bytes = 74\nmtu_bytes = 1500\norder = 'delay-then-rate'\n[[band]]\n{BAND}corrupt_ratio = 0.1\n[band.burst_loss]\nenter_bad_ratio = 0.1\nleave_bad_ratio = 0.5\n"
+    profile = read_profile(written(tmp_path, text))
+    band = Band(2_500 * MS, 64_000, 12_500_000, corrupt_ratio=0.1, burst_loss=BurstLoss(0.1, 0.5))
+    order = Order.DELAY_THEN_RATE
+    assert profile.up == DirectionProfile(
+        (band,), buffer_packets=7, minimum_bytes=74, mtu_bytes=1500, order=order
+    )
+    assert profile_from_dict(profile_to_dict(profile), where="saved", name="other") == profile
+
+
+def test_a_csv_file_is_a_band_per_row(tmp_path: Path) -> None:
+    path = tmp_path / "walk.csv"
+    path.write_text(
+        "# buffer_s = 2\n# cyclic = true\ndirection,duration_s,rate_bps,one_way_delay_ms,loss_ratio,reorder\n"
+        "both,1,1000000,50,,\ndown,2.5,64_000,12.5,0.1,TRUE\n\nup,1,9600,50,,false\n"
+    )
+    profile = load_profile(str(path))
+    both = Band(S, 1_000_000, 50 * MS)
+    down = Band(2_500 * MS, 64_000, 12_500_000, loss_ratio=0.1, reorder=True)
+    assert profile.name == "walk"
+    assert profile.down == DirectionProfile((both, down), cyclic=True, buffer_ns=2 * S)
+    assert profile.up.bands == (both, Band(S, 9_600, 50 * MS))
+
+
+def test_a_csv_file_without_directions_is_for_both(tmp_path: Path) -> None:
+    path = tmp_path / "both.csv"
+    path.write_text("duration_s,rate_bps,one_way_delay_ms\n1,1000,5\n")
+    profile = load_profile(path)
+    assert profile.down == profile.up == DirectionProfile((Band(S, 1000, 5 * MS),))
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("duration_s,rate_bps\n1,1000\n", r"down\.band\.0\.one_way_delay_ms: field required"),
+        ("duration_s,rate_bps,one_way_delay_ms\n1,fast,5\n", r"down\.band\.0\.rate_bps = 'fast'"),
+        ("duration_s,rate_bps,one_way_delay_ms\n1,1000,5,7\n", "row 1: it has more cells"),
+        ("direction,duration_s\nleft,1\n", "row 1: direction = left must be one of down, up, both"),
+        ("duration_s,rate_bps,one_way_delay_ms\n", r"down\.band has no entry"),
+        ("# buffer_s 10\nduration_s\n", "the lines that begin with # are not TOML"),
+    ],
+)
+def test_a_mistake_in_a_csv_file_is_named(tmp_path: Path, text: str, complaint: str) -> None:
+    path = tmp_path / "link.csv"
+    path.write_text(text)
+    with pytest.raises(ProfileError, match=rf"link\.csv: {complaint}"):
+        load_profile(path)
