@@ -149,15 +149,15 @@ def _images(
     poses: Callable[[FloatArray], FloatArray],
     expose: Callable[[FloatArray], Image],
 ) -> Samples:
-    message = CompressedImage(frame_id=frame_id, format="jpeg")
     for block in blocks(topic, settings, _LIGHT_CAMERA_RATE_HZ):
         for capture_ns, pose in zip(block.capture_ns.tolist(), poses(block.times_s), strict=True):
             with _one_thread():
                 encoded, data = cv2.imencode(".jpg", expose(pose), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
             if not encoded:
                 raise RuntimeError(f"{topic.key}: OpenCV could not encode a JPEG at quality {JPEG_QUALITY}")
+            # A new message for each: one that is used again keeps all data that it ever held in its arena.
+            message = CompressedImage(frame_id=frame_id, format="jpeg", data=data.tobytes())
             stamp(message.timestamp, capture_ns)
-            message.data = data.tobytes()
             yield capture_ns, message.SerializeToString()
 
 
