@@ -163,7 +163,7 @@ def _images(
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """OpenCV on one thread: hundreds of small warps keep its pool spinning, for a third more CPU."""
+    """OpenCV on one thread: hundreds of small warps keep its pool spinning, for a tenth more CPU."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
