@@ -1,0 +1,1 @@
+"""Paths under which older .proto files import the options of DCCL."""
