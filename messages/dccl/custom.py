@@ -1,0 +1,44 @@
+"""The seam for field codecs that are not DCCL's: one field, a message or a whole codec group."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from google.protobuf.descriptor import FieldDescriptor
+
+from messages.dccl.options import FieldOptions
+
+
+class BoundFieldCodec(Protocol):
+    """A codec for one field of one schema. min_bits, max_bits: its least and greatest size.
+
+    The value of a repeated field is the list of its elements; of an embedded message, the message. None
+    stands for "unset".
+    """
+
+    min_bits: int
+    max_bits: int
+
+    def encode(self, value: Any) -> tuple[int, int]:
+        """The value's bits as an integer (first bit lowest), and how many they are; or EncodeError."""
+        ...
+
+    def decode(self, bits: int, available: int) -> tuple[Any, int]:
+        """The value at the low end of `bits`, and how many bits it took; or DecodeError.
+
+        bits: all that is left of the message, this field first. available: how many of them were received;
+        above them there are zeros.
+        """
+        ...
+
+
+class FieldCodec(Protocol):
+    """What a name in (dccl.field).codec, (dccl.msg).codec or codec_group stands for."""
+
+    def bind(self, field: FieldDescriptor, options: FieldOptions) -> BoundFieldCodec | None:
+        """The codec of this field, checked (SchemaError); None for DCCL's default codec of the version."""
+        ...
+
+
+FieldCodecs = Mapping[str, FieldCodec]

@@ -1,0 +1,422 @@
+"""From a schema to a compiled decoder, the encoder's mirror.
+
+The bytes become one long integer, read through pieces of it at constant shifts for as long as the place
+is known, at `s` from the first field of variable size on. What lies beyond the bytes reads as zeros, and
+one comparison at the end tells whether anything was read there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from google.protobuf.message import Message as ProtobufMessage
+
+from messages.dccl.clock import TimeWindow
+from messages.dccl.conditions import FieldConditions
+from messages.dccl.errors import DecodeError
+from messages.dccl.fields import (
+    BoolWire,
+    CustomWire,
+    EnumWire,
+    Field,
+    HashWire,
+    Message,
+    MessageWire,
+    NumberWire,
+    StaticWire,
+    TextWire,
+    TimeWire,
+)
+from messages.dccl.limits import CountLimits, NumberLimits, TextLimits
+from messages.dccl.schema import Schema
+from messages.dccl.source import PACKED_AT_ONCE, Source, assignment, attribute, shifts, unpack
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_PIECE_BITS = 120  # read at once, then taken apart in integers of four digits
+
+Decoder = Callable[[bytes, int | None], tuple[ProtobufMessage, int]]
+
+
+def compile_decoder(
+    schema: Schema, message_type: Callable[[], ProtobufMessage], schema_hash: int
+) -> tuple[Decoder, str]:
+    """The decoder of a schema, and its source.
+
+    It takes the bytes and the receiver's clock in Unix seconds (for time fields), and returns the message
+    and how many bytes it took; or raises DecodeError.
+    """
+    plan = _DecoderPlan(schema, schema_hash)
+    arguments = "data, now_s"
+    names = {"from_bytes": int.from_bytes, "unpack": unpack, "new": message_type, "DecodeError": DecodeError}
+    return plan.source.compile("decode", arguments, **names), plan.source.text("decode", arguments)
+
+
+class _DecoderPlan:
+    def __init__(self, schema: Schema, schema_hash: int) -> None:
+        self.source = Source()
+        self._name = schema.name
+        self._hash = schema_hash
+        self._at: int = 0  # place of the next bit, from the bit `s` if _is_varying
+        self._is_varying = False
+        self._piece: tuple[str, int] | None = None  # an integer's name and its first bit's place
+        line = self.source.line
+        line("size = len(data)")
+        with self.source.block(f"if size < {schema.min_bytes}:"):
+            line(f"raise DecodeError(f'{{size}} bytes are fewer than the least size of {schema.name},"
+                 f" {schema.min_bytes}')")  # fmt: skip
+        line(f"x = from_bytes(data[:{schema.max_bytes}], 'little')")
+        if schema.id_bits:
+            with self.source.block(f"if {self._read(schema.id_bits)} != {schema.id_wire}:"):
+                line(f"raise DecodeError('the first bytes are not the id of {schema.name},"
+                     f" {schema.options.message_id}')")  # fmt: skip
+        line("root = new()")
+        self._message("root", schema.head)
+        self._jump(8 * schema.head_bytes)
+        self._message("root", schema.body)
+        end = f"({self._place()} + 7) >> 3" if self._is_varying else str((self._at + 7) // 8)
+        line(f"end = {end}")
+        if self._is_varying:
+            with self.source.block("if end > size:"):
+                line(f"raise DecodeError(f'{{size}} bytes end within {schema.name}; it takes {{end}}')")
+        line("return root, end")
+
+    # MESSAGES AND FIELDS
+
+    def _message(self, owner: str, message: Message) -> None:
+        chosen: dict[str, str] = {}
+        for oneof in message.oneofs:
+            name = self.source.name("o")
+            self.source.line(f"{name} = {self._read(oneof.bits)}")
+            with self.source.block(f"if {name} > {len(oneof.members)}:"):
+                what = f"{self._name}: oneof {oneof.name} has no member"
+                self.source.line(f"raise DecodeError(f'{what} {{{name}}}')")
+            chosen.update({member: f"{name} == {i}" for i, member in enumerate(oneof.members, 1)})
+        for f in message.fields:
+            if f.conditions is not None:
+                self._conditional(owner, f, chosen.get(f.name))
+            elif isinstance(f.wire, CustomWire):
+                self._custom(owner, f)
+            elif f.max_repeat is not None:
+                self._repeated(owner, f)
+            elif f.name in chosen:
+                with self._branch(f"if {chosen[f.name]}:"):
+                    self._singular(owner, f)
+            else:
+                self._singular(owner, f)
+
+    def _singular(self, owner: str, f: Field, numeric: str = "") -> None:
+        if not f.has_presence_bit:
+            self._element(owner, f, numeric)
+            return
+        with self._branch(f"if {self._read(1)}:"):
+            self._element(owner, f, numeric)
+
+    def _conditional(self, owner: str, f: Field, chosen: str | None) -> None:
+        conditions = self.source.constant("conditions", FieldConditions(f))
+        outcome = self.source.name("c")
+        required = f.when_required
+        assert required is not None and f.conditions is not None  # fields with conditions have both forms
+        has_bounds = f.conditions.minimum is not None or f.conditions.maximum is not None
+        numeric = f"{outcome}.numeric" if has_bounds else ""
+        if f.max_repeat is not None:
+            self._conditional_elements(owner, f, conditions, outcome, numeric)
+            return
+        with self._branch(f"if {chosen}:" if chosen else "if True:"):
+            self.source.line(f"{outcome} = {conditions}.evaluate(root, {owner}, 0)")
+            with self._branch(f"if not {outcome}.is_omitted:"):
+                with self._branch(f"if {outcome}.is_required:"):
+                    self._singular(owner, required, numeric)
+                with self._branch(f"if not {outcome}.is_required:"):
+                    self._singular(owner, f, numeric)
+
+    def _conditional_elements(
+        self, owner: str, f: Field, conditions: str, outcome: str, numeric: str
+    ) -> None:
+        count = self._count(f)
+        index = self.source.name("i")
+        self._vary()
+        with self._branch(f"for {index} in range(1, {count} + 1):"):
+            self.source.line(f"{outcome} = {conditions}.evaluate(root, {owner}, {index})")
+            with self._branch(f"if not {outcome}.is_omitted:"):
+                self._added(owner, f, numeric)
+
+    def _custom(self, owner: str, f: Field) -> None:
+        wire = f.wire
+        assert isinstance(wire, CustomWire)  # the caller has looked
+        codec = self.source.constant("codec", wire.codec)
+        value, taken = self.source.name("v"), self.source.name("n")
+        place = self._place()
+        self.source.line(f"{value}, {taken} = {codec}.decode(x >> {place}, 8 * size - ({place}))")
+        if f.max_repeat is not None:
+            self.source.line(f"{attribute(owner, f.name)}.extend({value})")
+        else:
+            with self.source.block(f"if {value} is not None:"):
+                if f.descriptor.message_type is not None:
+                    self.source.line(f"{attribute(owner, f.name)}.CopyFrom({value})")
+                else:
+                    self.source.line(assignment(owner, f.name, value))
+        low, high = wire.size
+        if low == high:
+            self._jump(self._at + low)
+            return
+        self._vary()
+        self.source.line(f"s += {taken}")
+
+    # ELEMENTS
+
+    def _element(self, owner: str, f: Field, numeric: str) -> None:
+        """A singular field's value, present unless its own bits say that it is unset."""
+        wire = f.wire
+        if isinstance(wire, MessageWire):
+            name = self.source.name("m")
+            self.source.line(f"{name} = {attribute(owner, f.name)}")
+            if not f.codec_name.endswith("2"):
+                # Version 2 has no presence bits: an embedded message is there if any of its fields is.
+                self.source.line(f"{name}.SetInParent()")
+            self._message(name, wire.message)
+            return
+        value, test = self._value(f, numeric)
+        statement = assignment(owner, f.name, value)
+        if test:
+            with self.source.block(f"if {test}:"):
+                self.source.line(statement)
+        else:
+            self.source.line(statement)
+
+    def _value(self, f: Field, numeric: str = "") -> tuple[str, str]:
+        """Expressions for a value and for whether it is set ("" for always); moves on."""
+        wire = f.wire
+        if numeric:
+            value = self.source.name("v")
+            limits = self._limits(f)
+            self._vary()
+            mask = f"((1 << {numeric}.bits) - 1)"
+            self.source.line(f"{value} = {limits}.value_within({numeric}, x >> s & {mask})")
+            self.source.line(f"s += {numeric}.bits")
+            return value, f"{value} is not None"
+        if isinstance(wire, NumberWire):
+            return self._number(f, wire)
+        if isinstance(wire, TimeWire):
+            window = self.source.constant("time", TimeWindow(f.path, wire))
+            value = self.source.name("v")
+            self.source.line(f"{value} = {window}.value({self._read(wire.numeric.bits)}, now_s)")
+            return value, "" if wire.numeric.is_required else f"{value} is not None"
+        if isinstance(wire, BoolWire):
+            if wire.is_required:
+                return f"{self._read(1)} == 1", ""
+            bits = self.source.name("u")
+            self.source.line(f"{bits} = {self._read(2)}")
+            with self.source.block(f"if {bits} == 3:"):
+                self.source.line(f"raise DecodeError({f'{f.path}: 3 on the wire is no bool'!r})")
+            return f"{bits} == 2", bits
+        if isinstance(wire, EnumWire):
+            table = self._enum_table(wire)
+            value = self.source.name("v")
+            self.source.line(f"{value} = {table}.get({self._read(wire.numeric.bits)})")
+            return value, f"{value} is not None"
+        if isinstance(wire, TextWire):
+            return self._text(f, wire)
+        if isinstance(wire, HashWire):
+            value = self.source.name("v")
+            self.source.line(f"{value} = {self._read(wire.bits)}")
+            with self.source.block(f"if {value} != {self._hash & ((1 << wire.bits) - 1)}:"):
+                self.source.line(
+                    f"raise DecodeError({f'{f.path}: the sender has another schema of {self._name}'!r})"
+                )
+            return value, ""
+        assert isinstance(wire, StaticWire)  # messages and custom codecs are treated elsewhere
+        return self.source.constant("static", wire.value), ""
+
+    def _number(self, f: Field, wire: NumberWire) -> tuple[str, str]:
+        n = wire.numeric
+        limits = self._limits(f)
+        if not n.is_affine:
+            value = self.source.name("v")
+            self.source.line(f"{value} = {limits}.value({self._read(n.bits)})")
+            return value, f"{value} is not None"
+        greatest = n.highest - n.origin + n.offset
+        is_checked = greatest < (1 << n.bits) - 1
+        bits = self._read(n.bits)
+        if is_checked or not n.is_required:
+            name = self.source.name("u")
+            self.source.line(f"{name} = {bits}")
+            bits = name
+        if is_checked:
+            with self.source.block(f"if {bits} > {greatest}:"):
+                self.source.line(f"raise {limits}.beyond({bits})")
+        return _affine(bits, n.origin - n.offset, wire), "" if n.is_required else bits
+
+    def _text(self, f: Field, wire: TextWire) -> tuple[str, str]:
+        content = self.source.name("b")
+        limits = self.source.constant("limits", TextLimits(f.path, wire.max_length, True))
+        test = ""
+        if wire.is_fixed:
+            bits = self._read(8 * wire.max_length, is_alone=True)
+            self.source.line(f"{content} = {bits}.to_bytes({wire.max_length}, 'little')")
+        else:
+            length = self.source.name("n")
+            self.source.line(f"{length} = {self._read(wire.prefix_bits)}")
+            if wire.max_length < (1 << wire.prefix_bits) - 1:
+                with self.source.block(f"if {length} > {wire.max_length}:"):
+                    self.source.line(f"raise {limits}.too_long({length})")
+            self._vary()
+            mask = f"((1 << 8 * {length}) - 1)"
+            self.source.line(f"{content} = (x >> s & {mask}).to_bytes({length}, 'little')")
+            self.source.line(f"s += 8 * {length}")
+            test = content if wire.empty_is_unset else ""
+        return (f"{limits}.text({content})" if wire.is_string else content), test
+
+    def _limits(self, f: Field) -> str:
+        assert isinstance(f.wire, NumberWire | TimeWire)  # the only ones with bounds
+        return self.source.constant("limits", NumberLimits(f.path, f.wire.numeric, "raise"))
+
+    def _enum_table(self, wire: EnumWire) -> str:
+        offset = wire.numeric.offset
+        return self.source.constant("enum", {i + offset: number for i, number in wire.numbers.items()})
+
+    # REPEATED FIELDS
+
+    def _count(self, f: Field) -> str:
+        low, high = f.min_repeat or 0, f.max_repeat or 0
+        if f.is_padded or low == high:
+            return str(high)
+        count = self.source.name("n")
+        self.source.line(f"{count} = {self._read(f.count_bits)}{f' + {low}' if low else ''}")
+        if high - low < (1 << f.count_bits) - 1:
+            limits = self.source.constant("limits", CountLimits(f.path, low, high, True))
+            with self.source.block(f"if {count} > {high}:"):
+                self.source.line(f"raise {limits}.too_many({count})")
+        return count
+
+    def _repeated(self, owner: str, f: Field) -> None:
+        count = self._count(f)
+        if isinstance(f.wire, NumberWire | BoolWire | EnumWire) and not f.has_presence_bit:
+            self._array(owner, count, f)
+            return
+        self._vary()
+        with self._branch(f"for _ in range({count}):"):
+            if f.has_presence_bit:
+                with self._branch(f"if {self._read(1)}:"):
+                    self._added(owner, f)
+            else:
+                self._added(owner, f)
+
+    def _added(self, owner: str, f: Field, numeric: str = "") -> None:
+        """One more element of a repeated field, if its bits do not say that it is unset."""
+        elements = attribute(owner, f.name)
+        wire = f.wire
+        if isinstance(wire, MessageWire):
+            name = self.source.name("m")
+            self.source.line(f"{name} = {elements}.add()")
+            self._message(name, wire.message)
+            if f.is_padded:
+                with self.source.block(f"if not {name}.ListFields():"):
+                    self.source.line(f"del {elements}[-1]")
+            return
+        value, test = self._value(f, numeric)
+        with self.source.block(f"if {test or True}:"):
+            self.source.line(f"{elements}.append({value})")
+
+    def _array(self, owner: str, count: str, f: Field) -> None:
+        wire, width = f.wire, f.element_size[0]
+        elements = self._unpacked(count, f, width)
+        extend = f"{attribute(owner, f.name)}.extend"
+        if isinstance(wire, EnumWire):
+            table = self._enum_table(wire)
+            self.source.line(f"{extend}([{table}[u] for u in {elements} if u in {table}])")
+            return
+        if isinstance(wire, BoolWire):
+            is_set, value = ("", "u == 1") if wire.is_required else (" if u", "u == 2")
+            self.source.line(f"{extend}([{value} for u in {elements}{is_set}])")
+            return
+        assert isinstance(wire, NumberWire)  # the caller has looked
+        n, limits = wire.numeric, self._limits(f)
+        if not n.is_affine:
+            values = f"[{limits}.value(u) for u in {elements}]"
+            self.source.line(f"{extend}([v for v in {values} if v is not None])")
+            return
+        greatest = n.highest - n.origin + n.offset
+        if greatest < (1 << width) - 1:
+            name = self.source.name("u")
+            self.source.line(f"{name} = {elements}")
+            elements = name
+            with self.source.block(f"if {name} and max({name}) > {greatest}:"):
+                self.source.line(f"raise {limits}.beyond(max({name}))")
+        is_set = "" if n.is_required else " if u"
+        self.source.line(f"{extend}([{_affine('u', n.origin - n.offset, wire)} for u in {elements}{is_set}])")
+
+    def _unpacked(self, count: str, f: Field, width: int) -> str:
+        """An expression for the list of an array's wire integers; moves on."""
+        high = f.max_repeat or 0
+        is_fixed = count.isdigit()
+        if not is_fixed:
+            self._vary()
+        packed = self.source.name("p")
+        if is_fixed:
+            self.source.line(f"{packed} = {self._read(width * high, is_alone=True)}")
+            places = self.source.constant("shifts", shifts(width, high)) if high <= PACKED_AT_ONCE else ""
+        else:
+            masks = self.source.constant("masks", tuple((1 << width * n) - 1 for n in range(high + 1)))
+            self.source.line(f"{packed} = x >> s & {masks}[{count}]")
+            self.source.line(f"s += {width} * {count}")
+            table = tuple(shifts(width, n) for n in range(high + 1)) if high <= PACKED_AT_ONCE else ()
+            places = f"{self.source.constant('shifts', table)}[{count}]" if table else ""
+        if not places:
+            return f"unpack({packed}, {width}, {count})"
+        return f"[{packed} >> i & {(1 << width) - 1} for i in {places}]"
+
+    # BITS
+
+    def _place(self) -> str:
+        if not self._is_varying:
+            return str(self._at)
+        return f"s + {self._at}" if self._at else "s"
+
+    def _read(self, width: int, is_alone: bool = False) -> str:
+        """An expression for the next bits; moves on. is_alone: too many to share a piece."""
+        if width == 0:
+            return "0"
+        place, self._at = self._at, self._at + width
+        mask = (1 << width) - 1
+        if is_alone or width > _PIECE_BITS:
+            origin = f"s + {place}" if self._is_varying else str(place)
+            return f"(x >> {origin} & {mask})"
+        if self._piece is None or place + width > self._piece[1] + _PIECE_BITS:
+            name = self.source.name("p")
+            origin = f"s + {place}" if self._is_varying else str(place)
+            self.source.line(f"{name} = x >> {origin} & {(1 << _PIECE_BITS) - 1}")
+            self._piece = name, place
+        name, start = self._piece
+        return f"({name} >> {place - start} & {mask})" if place > start else f"({name} & {mask})"
+
+    def _jump(self, place: int) -> None:
+        self._at, self._piece = place, None
+
+    def _vary(self) -> None:
+        """From here on the place is the variable s."""
+        if not self._is_varying:
+            self.source.line(f"s = {self._at}")
+        elif self._at:
+            self.source.line(f"s += {self._at}")
+        self._is_varying = True
+        self._jump(0)
+
+    @contextmanager
+    def _branch(self, header: str) -> Iterator[None]:
+        """A block that may or may not run: the place is variable before it and after it."""
+        self._vary()
+        with self.source.block(header):
+            yield
+            self._vary()
+
+
+def _affine(bits: str, shift: int, wire: NumberWire) -> str:
+    n = wire.numeric
+    index = f"({bits} + {shift})" if shift > 0 else f"({bits} - {-shift})" if shift < 0 else bits
+    if not n.is_float or n.resolution == 1:
+        return index
+    return f"{index} * {n.resolution!r}" if n.resolution >= 1 else f"{index} / {n.inverse!r}"
