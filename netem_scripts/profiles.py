@@ -21,7 +21,7 @@ _CONSTANT = re.compile(
 )
 _FINALS = re.compile(r"finals-(\d+)")
 _BPS_PER_UNIT = {"": 1, "k": 1_000, "m": 1_000_000}
-_CONSTANT_FORM = "constant-<rate>[k|m]-<delay>ms[-loss<percent>][-jitter<ms>ms][-buffer<ms>ms]"
+CONSTANT_FORM = "constant-<rate>[k|m]-<delay>ms[-loss<percent>][-jitter<ms>ms][-buffer<ms>ms]"
 
 
 def constant(
@@ -63,7 +63,7 @@ _NAMED: dict[str, Callable[[], Profile]] = {
 
 def profile_names() -> tuple[str, ...]:
     """The names that profile_named knows, the constant family as its form."""
-    return (*_NAMED, _CONSTANT_FORM)
+    return (*_NAMED, CONSTANT_FORM)
 
 
 def named_profiles() -> tuple[Profile, ...]:

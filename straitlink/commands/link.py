@@ -1,0 +1,154 @@
+"""`straitlink link`: the thin link, applied in one of its ways."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from netem_scripts.band import Profile
+    from netem_scripts.sides import SidesReport
+
+app = typer.Typer()
+
+_SEPARATOR = ":::"
+
+
+class Way(StrEnum):
+    """How the profile is applied."""
+
+    UDP = "udp"
+    TUN = "tun"
+
+
+@app.command()
+def link(
+    commands: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[-- COMMAND_A ::: COMMAND_B]", help="Robot's and operator's command, for --tun."
+        ),
+    ] = None,
+    profile: Annotated[str, typer.Option(help="Name of a link profile, or a TOML or CSV file.")] = "trials",
+    udp: Annotated[bool, typer.Option("--udp", help="Between two UDP ports (the default).")] = False,
+    tun: Annotated[bool, typer.Option("--tun", help="Between two namespaces that commands run in.")] = False,
+    robot_side: Annotated[str, typer.Option(help="Where the robot's shaper sends to.")] = "127.0.0.1:9101",
+    operator_side: Annotated[str, typer.Option(help="Where the operator's sends to.")] = "127.0.0.1:9102",
+    robot_peer: Annotated[str, typer.Option(help="Where the robot's shaper listens.")] = "127.0.0.1:9001",
+    operator_peer: Annotated[str, typer.Option(help="Where the operator's listens.")] = "127.0.0.1:9002",
+    linger: Annotated[float, typer.Option(help="Seconds that COMMAND_B may go on after COMMAND_A.")] = 15.0,
+    seed: Annotated[int, typer.Option(help="Of loss, jitter and duplication.")] = 1,
+    trace: Annotated[Path | None, typer.Option(help="Write each packet's fate as JSON lines.")] = None,
+    list_profiles: Annotated[bool, typer.Option("--list", help="Print the profiles and stop.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="Draw the profile as SVG to this file and stop.")] = None,
+) -> None:
+    """Emulate a thin link.
+
+    With --udp between two UDP ports, until SIGTERM or Ctrl-C. With --tun between two network namespaces: the
+    robot's 10.71.0.1 in which COMMAND_A runs, the operator's 10.71.0.2 in which COMMAND_B does; ends with
+    them and with their exit code.
+    """
+    from netem_scripts.profiles import load_profile
+
+    if list_profiles:
+        return _print_profiles()
+    resolved = load_profile(profile)
+    if plot is not None:
+        from netem_scripts.picture import picture
+
+        plot.write_text(picture(resolved), encoding="utf-8")
+        return
+    way = _the_way({Way.UDP: udp, Way.TUN: tun})
+    if way is Way.UDP:
+        if commands:
+            raise typer.BadParameter("commands run with --tun", param_hint="COMMAND_A")
+        return _run_udp(resolved, (robot_side, operator_side), (robot_peer, operator_peer), seed, trace)
+    robot, operator = _both(commands or [])
+    _finish(_run_tun(resolved, robot, operator, seed, linger, trace))
+
+
+def _the_way(asked: dict[Way, bool]) -> Way:
+    ways = [way for way, wanted in asked.items() if wanted]
+    if len(ways) > 1:
+        raise typer.BadParameter("only one way at a time", param_hint=" ".join(f"--{way}" for way in ways))
+    return ways[0] if ways else Way.UDP
+
+
+def _both(commands: Sequence[str]) -> tuple[list[str], list[str]]:
+    words = list(commands)
+    if words.count(_SEPARATOR) == 1:
+        at = words.index(_SEPARATOR)
+        robot, operator = words[:at], words[at + 1 :]
+        if robot and operator:
+            return robot, operator
+    raise typer.BadParameter("give two commands: -- COMMAND_A ::: COMMAND_B", param_hint="COMMAND_A")
+
+
+def _run_udp(
+    profile: Profile, sides: tuple[str, str], peers: tuple[str, str], seed: int, trace: Path | None
+) -> None:
+    from netem_scripts.udp_proxy import ProxySettings
+    from straitlink.processes import run_link, run_until_signal
+
+    settings = ProxySettings(profile, *sides, *peers, seed)
+    typer.echo(f"link: {profile.name} between {sides[0]} and {sides[1]}", err=True)
+    report = run_until_signal(lambda stop: run_link(settings, trace, stop))
+    for direction, counts in (("down", report.down), ("up", report.up)):
+        typer.echo(f"link: {direction} {counts}", err=True)
+
+
+def _run_tun(
+    profile: Profile,
+    robot: Sequence[str],
+    operator: Sequence[str],
+    seed: int,
+    linger_s: float,
+    trace: Path | None,
+) -> SidesReport:
+    from netem_scripts.tun import TunSettings, run_tun
+    from straitlink.processes import link_trace
+
+    settings = TunSettings(profile, robot, operator, seed, linger_s)
+    with link_trace(trace, profile) as write:
+        return run_tun(settings, on_packet=write, on_band=write)
+
+
+def _finish(report: SidesReport) -> None:
+    if report.link is not None:
+        for direction, counts in (("down", report.link.down), ("up", report.link.up)):
+            typer.echo(f"link: {direction} {counts}", err=True)
+    raise typer.Exit(report.exit_code)
+
+
+def _print_profiles() -> None:
+    from rich.box import SIMPLE
+    from rich.markup import escape
+    from rich.table import Table
+
+    from netem_scripts.profiles import CONSTANT_FORM, named_profiles
+    from straitlink.commands.console import wide_console
+
+    table = Table(box=SIMPLE, padding=(0, 1))
+    for heading in ("name", "what", "buffer", "source"):
+        table.add_column(heading, overflow="fold", no_wrap=heading == "name")
+    for each in named_profiles():
+        table.add_row(each.name, each.description, _buffer(each), each.source)
+    example = "constant-1m-50ms-loss2.5-jitter10ms-buffer100ms"
+    what = f"one band for ever, both ways: {CONSTANT_FORM}, such as {example}"
+    table.add_row("constant-...", escape(what), "10 s", "its name")
+    table.add_row("finals-<seed>", "the Finals with the blackouts in another order", "", "as finals")
+    wide_console().print(table)
+
+
+def _buffer(profile: Profile) -> str:
+    direction = profile.down
+    limits = []
+    if direction.buffer_ns is not None:
+        limits.append(f"{direction.buffer_ns / 1e9:.3g} s")
+    if direction.buffer_bytes is not None:
+        limits.append(f"{direction.buffer_bytes:,} B")
+    return ", ".join(limits)
