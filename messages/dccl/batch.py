@@ -177,6 +177,13 @@ class Batch:
         n = wire.numeric
         treatment = self._policy.treatment(column.field.path)
         is_nan = array != array
+        if treatment == "raise":
+            # A bound that its own rounding puts outside is not the value's fault.
+            is_noise = is_outside & (array >= n.minimum) & (array <= n.maximum)
+            nearest = np.where(array * 2 < n.minimum + n.maximum, n.first, n.last) - n.origin + n.offset
+            wires, is_outside = np.where(is_noise, nearest, wires), is_outside & ~is_noise
+            if not is_outside.any():
+                return wires
         if treatment == "raise" or (treatment == "clamp" and is_nan.any()):
             at = np.argwhere(is_nan if treatment == "clamp" else is_outside)[0]
             raise EncodeError(
@@ -185,7 +192,7 @@ class Batch:
             )
         if treatment == "dccl":
             return np.where(is_outside, np.where(is_nan, n.offset, 0), wires)
-        below, above = n.lowest - n.origin + n.offset, n.highest - n.origin + n.offset
+        below, above = n.first - n.origin + n.offset, n.last - n.origin + n.offset
         return np.where(is_outside, np.where(array > n.minimum, above, below), wires)
 
     def _check_constant(self, words: NDArray[np.uint64]) -> None:
@@ -220,7 +227,7 @@ class Batch:
             assert isinstance(wire, NumberWire | TimeWire)  # as laid out
             n = wire.numeric
             index = wires.astype(np.int64) + (n.origin - n.offset)
-            if (index < n.origin).any() or (index > n.highest).any():
+            if (index < n.origin).any() or (index > n.last).any():
                 raise DecodeError(f"{path}: a row has it unset or beyond its bounds")
             values = index
             if n.is_float:

@@ -24,7 +24,7 @@ class TimeWindow:
         n = self._numeric
         if now_s is None:
             raise DecodeError(f"{self._path} is a dccl.time: decoding it needs now_ns, the receiver's clock")
-        if bits - n.offset > n.highest - n.origin:
+        if bits > n.greatest_wire:
             raise DecodeError(f"{self._path}: {bits} on the wire is beyond {self._wire.window_s} s")
         time_s = n.value(bits)
         if time_s is None:

@@ -238,7 +238,7 @@ class _DecoderPlan:
             value = self.source.name("v")
             self.source.line(f"{value} = {limits}.value({self._read(n.bits)})")
             return value, f"{value} is not None"
-        greatest = n.highest - n.origin + n.offset
+        greatest = n.greatest_wire
         is_checked = greatest < (1 << n.bits) - 1
         bits = self._read(n.bits)
         if is_checked or not n.is_required:
@@ -339,7 +339,7 @@ class _DecoderPlan:
             values = f"[{limits}.value(u) for u in {elements}]"
             self.source.line(f"{extend}([v for v in {values} if v is not None])")
             return
-        greatest = n.highest - n.origin + n.offset
+        greatest = n.greatest_wire
         if greatest < (1 << width) - 1:
             name = self.source.name("u")
             self.source.line(f"{name} = {elements}")

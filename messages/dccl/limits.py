@@ -89,9 +89,13 @@ class NumberLimits:
         wire = None if is_nan else numeric.wire(value)
         if wire is not None:
             return wire
+        if self._treatment != "dccl" and numeric.minimum <= value <= numeric.maximum:
+            # Its own rounding has put it outside: a bound of which DCCL says that it exceeds itself.
+            deviations.add(path, value, "rounded to its nearest bound")
+            return numeric.clamp(value)
         if self._treatment == "raise":
             bounds = f"{numeric.minimum:.10g} to {numeric.maximum:.10g}"
-            raise EncodeError(f"{path} = {value} is not a value within its bounds {bounds}")
+            raise EncodeError(f"{path} = {value:.7g} is not a value within its bounds {bounds}")
         if self._treatment == "clamp":
             if is_nan:
                 raise EncodeError(f"{path} is not a number; there is no bound to clamp it to")

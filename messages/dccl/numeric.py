@@ -54,9 +54,11 @@ class Numeric:
     """A bounded number on the wire.
 
     minimum, maximum, resolution: in the field's unit. is_required: no bit pattern stands for "unset".
-    bits: width on the wire. lowest, highest: the quantised values' indices (value / resolution) that are
-    within the bounds; origin: the index that is sent as 0. is_affine: for every index in bounds, the wire
-    carries index - origin and decodes to index * resolution, so that compiled code may say just that.
+    bits: width on the wire. origin: the index (value / resolution, rounded) that is sent as 0.
+    lowest, highest: indices of the quantised values within the bounds. first, last: the same, and the
+    bounds themselves where only rounding noise puts them outside (0.05f exceeds 0.05).
+    is_affine: for every index from first to last, the wire carries index - origin and decodes to
+    index * resolution, so that compiled code may say just that.
     """
 
     number_type: NumberType
@@ -68,6 +70,8 @@ class Numeric:
     origin: int
     lowest: int
     highest: int
+    first: int
+    last: int
     is_affine: bool
 
     @property
@@ -86,9 +90,9 @@ class Numeric:
         return 0 if self.is_required else 1
 
     @property
-    def count(self) -> int:
-        """How many values are within the bounds."""
-        return self.highest - self.origin + 1
+    def greatest_wire(self) -> int:
+        """The greatest integer that an encoder sends."""
+        return self.last - self.origin + self.offset
 
     def wire(self, value: float) -> int | None:
         """The integer on the wire; None where the value is out of range. NaN is sent as the minimum."""
@@ -121,13 +125,14 @@ class Numeric:
 
     def clamp(self, value: float) -> int:
         """The wire integer of the nearest value in range."""
+        is_low = value < (self.minimum + self.maximum) / 2
         if self.is_affine:
-            return (self.lowest if value < self.minimum else self.highest) - self.origin + self.offset
+            return (self.first if is_low else self.last) - self.origin + self.offset
         step = self.resolution if self.is_float else max(1, math.ceil(self.resolution))
-        bound = self.minimum if value < self.minimum else self.maximum
+        bound = self.minimum if is_low else self.maximum
         wire = self.wire(bound)
         if wire is None:
-            wire = self.wire(bound + step if value < self.minimum else bound - step)
+            wire = self.wire(bound + step if is_low else bound - step)
         return self.offset if wire is None else wire
 
     def _quantised_minimum(self) -> float:
@@ -182,6 +187,8 @@ def make_numeric(
         origin,
         lowest,
         highest,
+        lowest,
+        highest,
         is_affine=resolution == 1 and fits and lowest <= highest,
     )
 
@@ -197,15 +204,33 @@ def _make_float(
     highest = _float_index(maximum, resolution) + 1
     while cast(_float_at(highest, resolution)) > maximum:
         highest -= 1
+    room = (1 << bits) - (0 if is_required else 1)
+    noise = resolution * 1e-3
+    top = _float_index(maximum, resolution)
+    is_top_near = abs(_float_at(top, resolution) - maximum) < noise and top - origin < room
+    is_origin_near = abs(_float_at(origin, resolution) - minimum) < noise
+    first = origin if is_origin_near else lowest
+    last = max(top, highest) if is_top_near else highest
     # An empty range (a maximum below its own float32 rounding, with one value) has no affine form.
     is_affine = (
         lowest <= highest
         and origin <= lowest
-        and highest - origin + (0 if is_required else 1) < 1 << bits
-        and _is_affine(number_type, origin, lowest, highest, resolution)
+        and last - origin < room
+        and _is_affine(number_type, origin, first, last, resolution)
     )
     return Numeric(
-        number_type, minimum, maximum, resolution, is_required, bits, origin, lowest, highest, is_affine
+        number_type,
+        minimum,
+        maximum,
+        resolution,
+        is_required,
+        bits,
+        origin,
+        lowest,
+        highest,
+        first,
+        last,
+        is_affine,
     )
 
 
