@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +25,9 @@ class Way(StrEnum):
 
     UDP = "udp"
     TUN = "tun"
+    NETEM = "netem"
+    GUEST = "guest"
+    TC = "tc"
 
 
 @app.command()
@@ -36,6 +41,14 @@ def link(
     profile: Annotated[str, typer.Option(help="Name of a link profile, or a TOML or CSV file.")] = "trials",
     udp: Annotated[bool, typer.Option("--udp", help="Between two UDP ports (the default).")] = False,
     tun: Annotated[bool, typer.Option("--tun", help="Between two namespaces that commands run in.")] = False,
+    netem: Annotated[bool, typer.Option("--netem", help="As --tun, by this kernel's netem.")] = False,
+    guest: Annotated[bool, typer.Option("--guest", help="As --netem, in user-mode Linux.")] = False,
+    tc: Annotated[bool, typer.Option("--tc", help="On this host's interface, by netem.")] = False,
+    interface: Annotated[str | None, typer.Option(help="For --tc: the device, such as eth0.")] = None,
+    direction: Annotated[str, typer.Option(help="For --tc: down on the robot, up on the operator.")] = "down",
+    apply: Annotated[bool, typer.Option("--apply", help="For --tc: do it, rather than print it.")] = False,
+    packet_bytes: Annotated[int, typer.Option(help="For netem: IP packets that its buffer counts.")] = 1228,
+    timeout: Annotated[float, typer.Option(help="For --guest: seconds until it is ended.")] = 600.0,
     robot_side: Annotated[str, typer.Option(help="Where the robot's shaper sends to.")] = "127.0.0.1:9101",
     operator_side: Annotated[str, typer.Option(help="Where the operator's sends to.")] = "127.0.0.1:9102",
     robot_peer: Annotated[str, typer.Option(help="Where the robot's shaper listens.")] = "127.0.0.1:9001",
@@ -50,9 +63,11 @@ def link(
 
     With --udp between two UDP ports, until SIGTERM or Ctrl-C. With --tun between two network namespaces: the
     robot's 10.71.0.1 in which COMMAND_A runs, the operator's 10.71.0.2 in which COMMAND_B does; ends with
-    them and with their exit code.
+    them and with their exit code. With --tc on one direction of a real interface, until SIGTERM or Ctrl-C.
     """
+    from netem_scripts.guest import run_guest
     from netem_scripts.profiles import load_profile
+    from netem_scripts.veth import VethSettings, run_veth
 
     if list_profiles:
         return _print_profiles()
@@ -62,13 +77,32 @@ def link(
 
         plot.write_text(picture(resolved), encoding="utf-8")
         return
-    way = _the_way({Way.UDP: udp, Way.TUN: tun})
-    if way is Way.UDP:
-        if commands:
-            raise typer.BadParameter("commands run with --tun", param_hint="COMMAND_A")
-        return _run_udp(resolved, (robot_side, operator_side), (robot_peer, operator_peer), seed, trace)
-    robot, operator = _both(commands or [])
-    _finish(_run_tun(resolved, robot, operator, seed, linger, trace))
+    way = _the_way({Way.UDP: udp, Way.TUN: tun, Way.NETEM: netem, Way.GUEST: guest, Way.TC: tc})
+    if way in (Way.UDP, Way.TC) and commands:
+        raise typer.BadParameter("commands run with --tun, --netem or --guest", param_hint="COMMAND_A")
+    with _one_line_errors():
+        if way is Way.UDP:
+            return _run_udp(resolved, (robot_side, operator_side), (robot_peer, operator_peer), seed, trace)
+        if way is Way.TC:
+            return _run_tc(resolved, interface, direction, packet_bytes, apply)
+        if trace is not None and way is not Way.TUN:
+            raise typer.BadParameter("the kernel's netem keeps no trace", param_hint="--trace")
+        robot, operator = _both(commands or [])
+        if way is Way.TUN:
+            _finish(_run_tun(resolved, robot, operator, seed, linger, trace))
+        if way is Way.NETEM:
+            _finish(run_veth(VethSettings(resolved, robot, operator, linger, packet_bytes)))
+        again = [
+            "--profile",
+            profile,
+            "--netem",
+            "--linger",
+            str(linger),
+            "--packet-bytes",
+            str(packet_bytes),
+        ]
+        inside = [sys.executable, "-m", "straitlink", "link", *again, "--", *robot, _SEPARATOR, *operator]
+        raise typer.Exit(run_guest(inside, timeout))
 
 
 def _the_way(asked: dict[Way, bool]) -> Way:
@@ -76,6 +110,20 @@ def _the_way(asked: dict[Way, bool]) -> Way:
     if len(ways) > 1:
         raise typer.BadParameter("only one way at a time", param_hint=" ".join(f"--{way}" for way in ways))
     return ways[0] if ways else Way.UDP
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    """What the machine refuses is one line and exit code 2."""
+    from netem_scripts.container import ContainerError
+    from netem_scripts.guest import GuestError
+    from netem_scripts.tc import TcError
+
+    try:
+        yield
+    except (ContainerError, GuestError, TcError) as error:
+        typer.echo(f"straitlink: {error}", err=True)
+        raise typer.Exit(2) from error
 
 
 def _both(commands: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -115,6 +163,22 @@ def _run_tun(
     settings = TunSettings(profile, robot, operator, seed, linger_s)
     with link_trace(trace, profile) as write:
         return run_tun(settings, on_packet=write, on_band=write)
+
+
+def _run_tc(profile: Profile, device: str | None, which: str, packet_bytes: int, apply: bool) -> None:
+    from netem_scripts.tc import Interface, NetemSchedule, apply_until_signal
+
+    if device is None:
+        raise typer.BadParameter("give the device to shape", param_hint="--interface")
+    if which not in ("down", "up"):
+        raise typer.BadParameter(f"{which} must be down or up", param_hint="--direction")
+    direction = profile.down if which == "down" else profile.up
+    where = Interface(device)
+    for line in NetemSchedule(direction, where, packet_bytes).script():
+        typer.echo(line)
+    if apply:
+        typer.echo(f"link: {profile.name} {which} on {device}, until SIGTERM or Ctrl-C", err=True)
+        apply_until_signal(direction, where, packet_bytes)
 
 
 def _finish(report: SidesReport) -> None:
