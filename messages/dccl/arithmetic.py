@@ -26,6 +26,12 @@ _CAST_NAN = {
     FieldDescriptor.CPPTYPE_UINT32: 0,
     FieldDescriptor.CPPTYPE_UINT64: 2**63,
 }
+_INTEGER_BOUNDS = {
+    FieldDescriptor.CPPTYPE_INT32: (-(2**31), 2**31 - 1),
+    FieldDescriptor.CPPTYPE_INT64: (-(2**63), 2**63 - 1),
+    FieldDescriptor.CPPTYPE_UINT32: (0, 2**32 - 1),
+    FieldDescriptor.CPPTYPE_UINT64: (0, 2**64 - 1),
+}
 _END = -2
 _OUT_OF_RANGE = -1
 
@@ -105,6 +111,13 @@ class BoundArithmetic:
             raise SchemaError(f"{field.full_name}: dccl.arithmetic is for numbers")
         if field.is_repeated and not max_repeat:
             raise SchemaError(f"{field.full_name} is repeated: state (dccl.field).max_repeat")
+        low, high = model.value_bounds[0], model.value_bounds[-2]
+        if field.cpp_type not in numeric[:2]:
+            type_low, type_high = _INTEGER_BOUNDS[field.cpp_type]
+            if low < type_low or high > type_high:
+                raise SchemaError(
+                    f"{field.full_name} cannot hold {low:g} to {high:g} of model {model.name!r}"
+                )
         self._name = field.full_name
         self._model = model
         self._is_repeated = field.is_repeated

@@ -99,7 +99,7 @@ class Codec(Generic[M]):
 
     def encode(self, message: M) -> bytes:
         """The message's bytes; EncodeError names the field, value and bound that do not agree."""
-        return self.encode_checked(message).data
+        return self._encode_into(message, Deviations([]))
 
     def encode_checked(self, message: M) -> Encoded:
         """The message's bytes, with a note of each value that was clamped, cut or sent as unset."""
@@ -166,8 +166,8 @@ class Codec(Generic[M]):
             data = head + self._cipher(head, data[len(head) :])
         try:
             return decoder(data, None if now_ns is None else now_ns // _NS_PER_S)  # type: ignore[return-value]
-        except ConditionError as error:
-            raise DecodeError(str(error)) from error
+        except (ConditionError, ValueError, OverflowError) as error:
+            raise DecodeError(f"{self.schema.name}: {error}") from error
 
 
 def _treatments(out_of_range: OutOfRange | None, *parts: Message) -> dict[str, Treatment]:

@@ -322,52 +322,60 @@ class _DecoderPlan:
             self.source.line(f"{elements}.append({value})")
 
     def _array(self, owner: str, count: str, f: Field) -> None:
-        wire, width = f.wire, f.element_size[0]
-        elements = self._unpacked(count, f, width)
+        wire = f.wire
+        bits, loop = self._unpacked(count, f, f.element_size[0])
         extend = f"{attribute(owner, f.name)}.extend"
         if isinstance(wire, EnumWire):
             table = self._enum_table(wire)
-            self.source.line(f"{extend}([{table}[u] for u in {elements} if u in {table}])")
-            return
-        if isinstance(wire, BoolWire):
-            is_set, value = ("", "u == 1") if wire.is_required else (" if u", "u == 2")
-            self.source.line(f"{extend}([{value} for u in {elements}{is_set}])")
-            return
+            self.source.line(f"{extend}([{table}[u] for u in [{bits} {loop}] if u in {table}])")
+        elif isinstance(wire, BoolWire) and wire.is_required:
+            self.source.line(f"{extend}([{bits} == 1 {loop}])")
+        elif isinstance(wire, BoolWire):
+            self.source.line(f"{extend}([u == 2 for u in [{bits} {loop}] if u])")
+        else:
+            self._number_array(extend, bits, loop, f)
+
+    def _number_array(self, extend: str, bits: str, loop: str, f: Field) -> None:
+        wire, limits = f.wire, self._limits(f)
         assert isinstance(wire, NumberWire)  # the caller has looked
-        n, limits = wire.numeric, self._limits(f)
+        n = wire.numeric
         if not n.is_affine:
-            values = f"[{limits}.value(u) for u in {elements}]"
+            values = f"[{limits}.value({bits}) {loop}]"
             self.source.line(f"{extend}([v for v in {values} if v is not None])")
             return
-        greatest = n.greatest_wire
-        if greatest < (1 << width) - 1:
-            name = self.source.name("u")
-            self.source.line(f"{name} = {elements}")
-            elements = name
-            with self.source.block(f"if {name} and max({name}) > {greatest}:"):
-                self.source.line(f"raise {limits}.beyond(max({name}))")
-        is_set = "" if n.is_required else " if u"
-        self.source.line(f"{extend}([{_affine('u', n.origin - n.offset, wire)} for u in {elements}{is_set}])")
-
-    def _unpacked(self, count: str, f: Field, width: int) -> str:
-        """An expression for the list of an array's wire integers; moves on."""
-        high = f.max_repeat or 0
-        is_fixed = count.isdigit()
-        if not is_fixed:
-            self._vary()
-        packed = self.source.name("p")
-        if is_fixed:
-            self.source.line(f"{packed} = {self._read(width * high, is_alone=True)}")
-            places = self.source.constant("shifts", shifts(width, high)) if high <= PACKED_AT_ONCE else ""
+        values, shift = self.source.name("v"), n.origin - n.offset
+        if n.is_required:
+            self.source.line(f"{values} = [{_affine(bits, shift, wire)} {loop}]")
         else:
-            masks = self.source.constant("masks", tuple((1 << width * n) - 1 for n in range(high + 1)))
-            self.source.line(f"{packed} = x >> s & {masks}[{count}]")
+            self.source.line(f"{values} = [{_affine('u', shift, wire)} for u in [{bits} {loop}] if u]")
+        if n.greatest_wire < (1 << n.bits) - 1:
+            # Values rise with their integers, so the greatest tells.
+            greatest = _affine(str(n.greatest_wire), shift, wire)
+            with self.source.block(f"if {values} and max({values}) > {greatest}:"):
+                self.source.line(f"raise {limits}.beyond_value(max({values}))")
+        self.source.line(f"{extend}({values})")
+
+    def _unpacked(self, count: str, f: Field, width: int) -> tuple[str, str]:
+        """An array's wire integer as an expression, and the loop over the elements; moves on."""
+        high = f.max_repeat or 0
+        is_short = high <= PACKED_AT_ONCE
+        packed = self.source.name("p")
+        if count.isdigit():
+            self.source.line(f"{packed} = {self._read(width * high, is_alone=True)}")
+            places = self.source.constant("shifts", shifts(width, high)) if is_short else ""
+        else:
+            self._vary()
+            mask = f"((1 << {width} * {count}) - 1)"
+            if is_short:
+                masks = tuple((1 << width * n) - 1 for n in range(high + 1))
+                mask = f"{self.source.constant('masks', masks)}[{count}]"
+                table = tuple(shifts(width, n) for n in range(high + 1))
+                places = f"{self.source.constant('shifts', table)}[{count}]"
+            self.source.line(f"{packed} = x >> s & {mask}")
             self.source.line(f"s += {width} * {count}")
-            table = tuple(shifts(width, n) for n in range(high + 1)) if high <= PACKED_AT_ONCE else ()
-            places = f"{self.source.constant('shifts', table)}[{count}]" if table else ""
-        if not places:
-            return f"unpack({packed}, {width}, {count})"
-        return f"[{packed} >> i & {(1 << width) - 1} for i in {places}]"
+        if not is_short:
+            return "u", f"for u in unpack({packed}, {width}, {count})"
+        return f"({packed} >> i & {(1 << width) - 1})", f"for i in {places}"
 
     # BITS
 
@@ -383,15 +391,19 @@ class _DecoderPlan:
         place, self._at = self._at, self._at + width
         mask = (1 << width) - 1
         if is_alone or width > _PIECE_BITS:
-            origin = f"s + {place}" if self._is_varying else str(place)
-            return f"(x >> {origin} & {mask})"
+            return f"({self._from(place)} & {mask})"
         if self._piece is None or place + width > self._piece[1] + _PIECE_BITS:
             name = self.source.name("p")
-            origin = f"s + {place}" if self._is_varying else str(place)
-            self.source.line(f"{name} = x >> {origin} & {(1 << _PIECE_BITS) - 1}")
+            self.source.line(f"{name} = {self._from(place)} & {(1 << _PIECE_BITS) - 1}")
             self._piece = name, place
         name, start = self._piece
         return f"({name} >> {place - start} & {mask})" if place > start else f"({name} & {mask})"
+
+    def _from(self, place: int) -> str:
+        """An expression for all bits from a place on."""
+        if self._is_varying:
+            return f"x >> s + {place}" if place else "x >> s"
+        return f"x >> {place}" if place else "x"
 
     def _jump(self, place: int) -> None:
         self._at, self._piece = place, None

@@ -84,6 +84,11 @@ class NumberLimits:
             f"{self._path}: {wire} on the wire is beyond its bounds {n.minimum:g} to {n.maximum:g}"
         )
 
+    def beyond_value(self, value: float) -> DecodeError:
+        """The error for an element of a repeated field that is out of bounds."""
+        n = self._numeric
+        return DecodeError(f"{self._path}: {value} is beyond its bounds {n.minimum:g} to {n.maximum:g}")
+
     def _wire(self, value: float, numeric: Numeric, path: str, deviations: Deviations) -> int:
         is_nan = value != value
         wire = None if is_nan else numeric.wire(value)

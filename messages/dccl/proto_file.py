@@ -64,7 +64,7 @@ def _compile(path: Path, folders: Sequence[Path]) -> descriptor_pb2.FileDescript
     ours = Path(str(files("messages") / "proto"))
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "descriptors"
-        search = [*folders, path.parent, ours, Path(str(files("grpc_tools") / "_proto"))]
+        search = [*folders, path.parent, ours, ours.parent.parent, Path(str(files("grpc_tools") / "_proto"))]
         arguments = [
             *(f"--proto_path={place}" for place in search),
             "--include_imports",
