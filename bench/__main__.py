@@ -10,7 +10,9 @@ MODULES = ("bench.mission",)
 
 def main() -> int:
     """Run them all; the exit code says whether each ran to its end."""
-    failed = [name for name in MODULES if subprocess.run([sys.executable, "-m", name], check=False).returncode]
+    failed = [
+        name for name in MODULES if subprocess.run([sys.executable, "-m", name], check=False).returncode
+    ]
     for name in failed:
         print(f"{name} failed", file=sys.stderr)
     return 1 if failed else 0
