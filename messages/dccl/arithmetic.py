@@ -89,6 +89,27 @@ class ArithmeticModel:
         return lower if is_lower else upper
 
 
+class ModelInUse:
+    """A model with what it has learnt of the messages sent, and of those received.
+
+    The fields of a codec that name the same model share it. What a message teaches counts only once the
+    whole message is coded: `begin` before, `commit` after.
+    """
+
+    def __init__(self, model: ArithmeticModel) -> None:
+        self.model = model
+        self._sent = self._received = model.cumulative()
+        self.sending = self.receiving = self._sent
+
+    def begin(self) -> None:
+        """Forget what an unfinished message taught."""
+        self.sending, self.receiving = self._sent, self._received
+
+    def commit(self) -> None:
+        """Keep what the message taught."""
+        self._sent, self._received = self.sending, self.receiving
+
+
 class BoundArithmetic:
     """The codec of one field with one model.
 
@@ -97,8 +118,9 @@ class BoundArithmetic:
     """
 
     def __init__(
-        self, field: FieldDescriptor, model: ArithmeticModel, max_repeat: int | None, is_strict: bool
+        self, field: FieldDescriptor, use: ModelInUse, max_repeat: int | None, is_strict: bool
     ) -> None:
+        model = use.model
         numeric = (
             FieldDescriptor.CPPTYPE_DOUBLE,
             FieldDescriptor.CPPTYPE_FLOAT,
@@ -126,7 +148,7 @@ class BoundArithmetic:
         self._is_strict = is_strict
         self._cpp_type = field.cpp_type
         self.min_bits, self.max_bits = 0, _max_bits(model, self._max_repeat)
-        self._sent = self._received = model.cumulative()
+        self._use = use
 
     def __repr__(self) -> str:
         return f"BoundArithmetic({self._model!r}, {self._max_repeat})"
@@ -138,17 +160,20 @@ class BoundArithmetic:
             values = value if isinstance(value, Sequence) else []
         else:
             values = [value] if isinstance(value, int | float) else []
-        bits, count, self._sent = _encode_symbols(self._symbols(values), self._sent, self._model.is_adaptive)
+        use = self._use
+        bits, count, use.sending = _encode_symbols(
+            self._symbols(values), use.sending, self._model.is_adaptive
+        )
         return bits, count
 
     def decode(self, bits: int, available: int) -> tuple[object, int]:
         """The number or list at the low end of `bits`, and how many bits it took."""
         symbols, taken, learnt = _decode_symbols(
-            bits, self._max_repeat, self._received, self._model.is_adaptive
+            bits, self._max_repeat, self._use.receiving, self._model.is_adaptive
         )
         if taken > available:
             raise DecodeError(f"{self._name}: the message ends within its arithmetic code")
-        self._received = learnt
+        self._use.receiving = learnt
         values = [self._value(symbol) for symbol in symbols if symbol != _END]
         if self._is_repeated:
             return values, taken

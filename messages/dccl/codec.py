@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 
 from google.protobuf.message import Message as ProtobufMessage
 
-from messages.dccl.arithmetic import ArithmeticModel
+from messages.dccl.arithmetic import ArithmeticModel, ModelInUse
 from messages.dccl.batch import Batch, Columns
 from messages.dccl.conditions import ConditionError
 from messages.dccl.custom import FieldCodecs
@@ -67,14 +67,17 @@ class Codec(Generic[M]):
         peer_hash: int | None = None,
         insecure_passphrase: str | None = None,
     ) -> None:
-        models = {model.name: model for model in arithmetic_models}
+        models = {model.name: ModelInUse(model) for model in arithmetic_models}
+        self._adaptive = [use for use in models.values() if use.model.is_adaptive]
         self.message_type = message_type
         self.schema = load_schema(as_descriptor(message_type), field_codecs or {}, models, strict)
         self.schema_hash = self.schema.hash()
         self._is_strict = strict
         self._wire_hash = self.schema_hash if peer_hash is None else peer_hash
         self._policy = Policy(strict, _treatments(out_of_range, self.schema.head, self.schema.body))
-        self._encode, self.encoder_source = compile_encoder(self.schema, self._policy, self._wire_hash)
+        self._encode, self.encoder_source = compile_encoder(
+            self.schema, self._policy, self._wire_hash, self._restart
+        )
         self._decode, self.decoder_source = compile_decoder(self.schema, message_type, self._wire_hash)
         self._decode_head: Decoder | None = None
         self._batch: Batch | None = None
@@ -147,14 +150,21 @@ class Codec(Generic[M]):
             self._batch = Batch(self.schema, self._policy)
         return self._batch
 
+    def _restart(self) -> None:
+        for use in self._adaptive:
+            use.begin()
+
     def _encode_into(self, message: M, deviations: Deviations) -> bytes:
         if not message.IsInitialized():
             missing = ", ".join(message.FindInitializationErrors())  # type: ignore[attr-defined]
             raise EncodeError(f"{self.schema.name} misses required fields: {missing}")
+        self._restart()
         try:
             data = self._encode(message, deviations)
         except ConditionError as error:
             raise EncodeError(str(error)) from error
+        for use in self._adaptive:
+            use.commit()
         if self._cipher is None:
             return data
         head = data[: self.schema.head_bytes]
@@ -164,10 +174,14 @@ class Codec(Generic[M]):
         if self._cipher is not None:
             head = data[: self.schema.head_bytes]
             data = head + self._cipher(head, data[len(head) :])
+        self._restart()
         try:
-            return decoder(data, None if now_ns is None else now_ns // _NS_PER_S)  # type: ignore[return-value]
+            decoded = decoder(data, None if now_ns is None else now_ns // _NS_PER_S)
         except (ConditionError, ValueError, OverflowError) as error:
             raise DecodeError(f"{self.schema.name}: {error}") from error
+        for use in self._adaptive:
+            use.commit()
+        return decoded  # type: ignore[return-value]
 
 
 def _treatments(out_of_range: OutOfRange | None, *parts: Message) -> dict[str, Treatment]:

@@ -98,6 +98,9 @@ class _DecoderPlan:
         for f in message.fields:
             if f.conditions is not None:
                 self._conditional(owner, f, chosen.get(f.name))
+            elif isinstance(f.wire, CustomWire) and f.name in chosen:
+                with self._branch(f"if {chosen[f.name]}:"):
+                    self._custom(owner, f)
             elif isinstance(f.wire, CustomWire):
                 self._custom(owner, f)
             elif f.max_repeat is not None:

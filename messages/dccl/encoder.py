@@ -34,6 +34,7 @@ from messages.dccl.limits import (
     TextLimits,
     Treatment,
     careful_floor,
+    careful_fmod,
 )
 from messages.dccl.numeric import type_bounds
 from messages.dccl.schema import Schema
@@ -70,13 +71,15 @@ class _Bits:
     is_assigned: bool = False
 
 
-def compile_encoder(schema: Schema, policy: Policy, schema_hash: int) -> tuple[Encoder, str]:
-    """The encoder of a schema, and its source."""
+def compile_encoder(
+    schema: Schema, policy: Policy, schema_hash: int, restart: Callable[[], None]
+) -> tuple[Encoder, str]:
+    """The encoder of a schema, and its source. restart: called where a message is encoded once more."""
     plan = _EncoderPlan(schema, policy, schema_hash)
     arguments = "root, deviations"
-    names = {"from_bytes": int.from_bytes, "lshift": lshift, "fmod": math.fmod, "pack": pack}
-    fast = plan.source.compile("encode", arguments, floor=math.floor, **names)
-    careful = plan.source.compile("encode", arguments, floor=careful_floor, **names)
+    names = {"from_bytes": int.from_bytes, "lshift": lshift, "pack": pack}
+    fast = plan.source.compile("encode", arguments, floor=math.floor, fmod=math.fmod, **names)
+    careful = plan.source.compile("encode", arguments, floor=careful_floor, fmod=careful_fmod, **names)
 
     def encode(message: ProtobufMessage, deviations: Deviations) -> bytes:
         try:
@@ -84,6 +87,7 @@ def compile_encoder(schema: Schema, policy: Policy, schema_hash: int) -> tuple[E
         except (ValueError, OverflowError):
             # NaN or an infinity somewhere: floor() refused it. The careful one says where.
             deviations.found.clear()
+            restart()
             return careful(message, deviations)  # type: ignore[no-any-return]
 
     return encode, plan.source.text("encode", arguments)
@@ -119,7 +123,7 @@ class _EncoderPlan:
             if f.conditions is not None:
                 self._conditional(bits, owner, f, chosen.get(f.name))
             elif isinstance(f.wire, CustomWire):
-                self._custom(bits, owner, f)
+                self._custom(bits, owner, f, chosen.get(f.name))
             elif f.max_repeat is not None:
                 self._repeated(bits, owner, f)
             else:
@@ -194,7 +198,7 @@ class _EncoderPlan:
                 self._finish(inner, False)
                 self._append(bits, inner, None)
 
-    def _custom(self, bits: _Bits, owner: str, f: Field) -> None:
+    def _custom(self, bits: _Bits, owner: str, f: Field, oneof: str | None) -> None:
         wire = f.wire
         assert isinstance(wire, CustomWire)  # the caller has looked
         codec = self.source.constant("codec", wire.codec)
@@ -204,9 +208,12 @@ class _EncoderPlan:
         elif not f.descriptor.is_required:
             value = f"{value} if {owner}.HasField({f.name!r}) else None"
         inner = self._new_bits()
-        self.source.line(f"{inner.value}, {inner.size} = {codec}.encode({value})")
+        result = f"{codec}.encode({value})"
+        if oneof:
+            result = f"{codec}.encode({attribute(owner, f.name)}) if {oneof} == {f.name!r} else (0, 0)"
+        self.source.line(f"{inner.value}, {inner.size} = {result}")
         inner.is_assigned, inner.at = True, None
-        low, high = wire.size
+        low, high = (0, 1) if oneof else wire.size
         self._append(bits, inner, low if low == high else None)
 
     # ELEMENTS

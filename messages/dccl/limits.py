@@ -184,6 +184,11 @@ class RequiredLimits:
         deviations.add(self._path, None, "unset though required: sent as zero bits")
 
 
+def careful_fmod(x: float, y: float) -> float:
+    """fmod that lets infinities through to the check of the bounds."""
+    return math.fmod(x, y) if math.isfinite(x) else x
+
+
 def careful_floor(x: float) -> int:
     """floor, with an integer beyond all bounds for NaN and infinities."""
     return math.floor(x) if math.isfinite(x) else 1 << 1100

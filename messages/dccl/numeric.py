@@ -98,8 +98,8 @@ class Numeric:
         """The integer on the wire; None where the value is out of range. NaN is sent as the minimum."""
         if value != value:
             return self.offset
-        if math.isinf(value):
-            return None
+        if math.isinf(value) or math.isinf(value * self.inverse):
+            return None  # beyond all bounds before any rounding
         quantised = self._quantise(value)
         if quantised < self.minimum or quantised > self.maximum:
             return None

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
-from messages.dccl.arithmetic import ArithmeticModel
+from messages.dccl.arithmetic import ModelInUse
 from messages.dccl.custom import FieldCodecs
 from messages.dccl.errors import SchemaError
 from messages.dccl.fields import (
@@ -94,7 +94,7 @@ class Schema:
 
 
 def load_schema(
-    descriptor: Descriptor, codecs: FieldCodecs, models: Mapping[str, ArithmeticModel], is_strict: bool
+    descriptor: Descriptor, codecs: FieldCodecs, models: Mapping[str, ModelInUse], is_strict: bool
 ) -> Schema:
     """Check a root message and lay it out; SchemaError says what DCCL, or this implementation, refuses.
 
@@ -120,7 +120,7 @@ class _Builder:
         root: Descriptor,
         options: MessageOptions,
         codecs: FieldCodecs,
-        models: Mapping[str, ArithmeticModel],
+        models: Mapping[str, ModelInUse],
         is_strict: bool,
     ) -> None:
         self._root = root
@@ -191,6 +191,8 @@ class _Builder:
         field = self._bind(declared, options, name, prefix, embedded, is_required=False)
         if options.conditions is None:
             return field
+        if isinstance(field.wire, CustomWire):
+            raise SchemaError(f"{declared.full_name}: codec {name.text} cannot have dynamic_conditions")
         required = self._bind(declared, options, name, prefix, embedded, is_required=True)
         return replace(field, conditions=options.conditions, when_required=required)
 

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 from google.protobuf.descriptor import FieldDescriptor
 
-from messages.dccl.arithmetic import ArithmeticModel, BoundArithmetic
+from messages.dccl.arithmetic import BoundArithmetic, ModelInUse
 from messages.dccl.custom import FieldCodec, FieldCodecs
 from messages.dccl.errors import SchemaError
 from messages.dccl.fields import (
@@ -102,7 +102,7 @@ def bind_wire(
     name: CodecName,
     is_required: bool,
     embedded: Message | None,
-    models: Mapping[str, ArithmeticModel],
+    models: Mapping[str, ModelInUse],
     is_strict: bool,
 ) -> tuple[Wire, bool]:
     """The field's form on the wire, and whether a presence bit precedes it; SchemaError if it has none."""
@@ -266,7 +266,7 @@ def _static_value(field: FieldDescriptor, text: str) -> object:
 
 
 def _arithmetic(
-    field: FieldDescriptor, options: FieldOptions, models: Mapping[str, ArithmeticModel], is_strict: bool
+    field: FieldDescriptor, options: FieldOptions, models: Mapping[str, ModelInUse], is_strict: bool
 ) -> CustomWire:
     name = options.arithmetic_model
     if name is None:

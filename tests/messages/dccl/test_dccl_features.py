@@ -172,7 +172,54 @@ def test_a_codec_of_our_own_serves_a_field_and_leaves_others_to_dccl() -> None:
         codec.decode(bytes([10, 0x15]))
 
 
+def test_a_codec_of_our_own_within_a_oneof_takes_bits_only_when_it_is_chosen() -> None:
+    members = [
+        Declared("a", "uint32", "optional", {"codec": "acme.byte"}, oneof="which"),
+        Declared("b", "uint32", "optional", {"min": 0, "max": 3}, oneof="which"),
+    ]
+    chosen = declare(*members)
+    codec = Codec(chosen, field_codecs={"acme.byte": Bytes()})
+    for sent, size in ((chosen(a=200), 3), (chosen(b=2), 2), (chosen(), 2)):
+        assert len(codec.encode(sent)) == size
+        assert codec.decode(codec.encode(sent)) == sent
+
+
+class Bytes:
+    """A number of 8 bits; a codec may be its own bound codec where it needs nothing of the field."""
+
+    min_bits = max_bits = 8
+
+    def bind(self, field: FieldDescriptor, options: FieldOptions) -> BoundFieldCodec | None:
+        return self
+
+    def encode(self, value: Any) -> tuple[int, int]:
+        return value or 0, 8
+
+    def decode(self, bits: int, available: int) -> tuple[Any, int]:
+        return bits & 255, 8
+
+
 # ARITHMETIC
+
+
+def test_a_message_that_was_refused_teaches_an_adaptive_model_nothing() -> None:
+    model = ArithmeticModel("m", (1, 1, 1, 1), (0, 1, 2, 3, 4), is_adaptive=True)
+    lists = declare(
+        Declared("v", "int32", "repeated", {"codec": "dccl.arithmetic", "max_repeat": 9, "arithmetic": "m"}),
+        number("x", 0, 1, precision=1),
+    )
+    sender, receiver = (Codec(lists, arithmetic_models=[model]) for _ in range(2))
+    sizes = []
+    for _ in range(20):
+        with pytest.raises(EncodeError):
+            sender.encode(lists(v=[2] * 9, x=float("nan")))
+        with pytest.raises(DecodeError):
+            receiver.decode(b"\x0a")
+        sent = lists(v=[3] * 9, x=0.5)
+        data = sender.encode(sent)
+        sizes.append(len(data))
+        assert receiver.decode(data) == sent
+    assert sizes[-1] < sizes[0]
 
 
 def test_rare_values_cost_more_bits_than_common_ones() -> None:
