@@ -16,6 +16,8 @@ from shaper.key_expression import matches
 
 Session = zenoh.Session
 
+_MAX_KEYS_REMEMBERED = 8192  # of subscriptions and of publishers
+
 # Two buses on one machine must meet only through the link. Scouting would let them find each other,
 # and Zenoh's implicit shared memory would carry payloads of 3 kB and more around an emulated link.
 _ISOLATION: dict[str, object] = {
@@ -69,30 +71,37 @@ def open_bus(settings: BusSettings) -> zenoh.Session:
 
 @dataclass(frozen=True, slots=True)
 class BusSample:
-    """What a local publisher put. payload: not copied yet."""
+    """What a local publisher put. payload: not copied yet. missed: samples of the key that it replaced."""
 
     key: str
     payload: zenoh.ZBytes
     encoding: str
     attachment: bytes
     received_ns: int
+    missed: int = 0
 
 
 class BusInlet:
     """Subscribes to what crosses the link and hands it to an event loop, in batches.
 
-    Zenoh calls back in threads of its own; all that happens there is a note in a deque, and one wake-up
-    of the loop for as many samples as have gathered by then.
+    Zenoh calls back in threads of its own; all that happens there is a note, and one wake-up of the loop
+    for as many samples as have gathered by then. Of a key of which only the newest sample counts
+    (`is_latest`) just that one is noted, so thousands of samples a second cost the loop a few hundred.
     """
 
     def __init__(
         self,
         session: zenoh.Session,
         key_expressions: Sequence[str],
+        is_latest: Callable[[str], bool],
         on_samples: Callable[[], None],
         clock_ns: Callable[[], int],
     ) -> None:
-        self._inbox: deque[BusSample] = deque()
+        self._session = session
+        self._inbox: deque[tuple[str, zenoh.Sample, int]] = deque()
+        self._newest: dict[str, tuple[zenoh.Sample, int, int]] = {}  # with arrival and number replaced
+        self._lock = threading.Lock()
+        self._is_latest = is_latest
         self._on_samples = on_samples
         self._clock_ns = clock_ns
         self._announced = False
@@ -106,12 +115,27 @@ class BusInlet:
         ]
 
     def take(self) -> list[BusSample]:
-        """The samples that have gathered, oldest first."""
+        """The samples that have gathered, oldest first among those that all count."""
         self._announced = False
+        with self._lock:
+            newest, self._newest = self._newest, {}
         samples = []
         while self._inbox:
-            samples.append(self._inbox.popleft())
+            key, sample, received_ns = self._inbox.popleft()
+            samples.append(_bus_sample(key, sample, received_ns, 0))
+        for key, (sample, received_ns, missed) in newest.items():
+            samples.append(_bus_sample(key, sample, received_ns, missed))
         return samples
+
+    def ask(self, key: str, budget_bytes: int) -> None:
+        """Ask the key's queryable for its newest item; the first answer comes like a sample."""
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                self._inbox.append((key, reply.ok, self._clock_ns()))
+                self._announce()
+
+        self._session.get(f"{key}?max_bytes={budget_bytes}", on_reply, target=zenoh.QueryTarget.BEST_MATCHING)
 
     def close(self) -> None:
         """Take no more samples."""
@@ -121,33 +145,38 @@ class BusInlet:
     def _callback(self, index: int, expressions: Sequence[str]) -> Callable[[zenoh.Sample], None]:
         # Where two expressions overlap, both subscribers get the sample: the first of them owns the key.
         overlapping = [e for e in expressions[:index] if zenoh.KeyExpr(e).intersects(expressions[index])]
-        owned: dict[str, bool] = {}
+        kinds: dict[str, bool | None] = {}  # by key: latest or not; None if another subscriber owns it
+
+        def kind_of(key: str) -> bool | None:
+            return None if any(matches(e, key) for e in overlapping) else self._is_latest(key)
 
         def on_sample(sample: zenoh.Sample) -> None:
             if sample.kind != zenoh.SampleKind.PUT:
                 return
             key = str(sample.key_expr)
-            if overlapping:
-                mine = owned.get(key)
-                if mine is None:
-                    mine = owned[key] = not any(matches(e, key) for e in overlapping)
-                if not mine:
-                    return
-            attachment = sample.attachment
-            self._inbox.append(
-                BusSample(
-                    key,
-                    sample.payload,
-                    str(sample.encoding),
-                    b"" if attachment is None else attachment.to_bytes(),
-                    self._clock_ns(),
-                )
-            )
-            if not self._announced:
-                self._announced = True
-                self._on_samples()
+            try:
+                latest = kinds[key]
+            except KeyError:
+                if len(kinds) >= _MAX_KEYS_REMEMBERED:
+                    kinds.clear()
+                latest = kinds[key] = kind_of(key)
+            if latest is None:
+                return
+            now_ns = self._clock_ns()
+            if latest:
+                with self._lock:
+                    before = self._newest.get(key)
+                    self._newest[key] = sample, now_ns, 0 if before is None else before[2] + 1
+            else:
+                self._inbox.append((key, sample, now_ns))
+            self._announce()
 
         return on_sample
+
+    def _announce(self) -> None:
+        if not self._announced:
+            self._announced = True
+            self._on_samples()
 
 
 class BusOutlet:
@@ -181,15 +210,35 @@ class BusOutlet:
     def _run(self) -> None:
         while (item := self._queue.get()) is not None:
             key, encoding, payload, attachment = item
-            publisher = self._publishers.get((key, encoding))
-            if publisher is None:
-                publisher = self._publishers[key, encoding] = self._session.declare_publisher(
-                    key,
-                    encoding=zenoh.Encoding(encoding),
-                    congestion_control=zenoh.CongestionControl.BLOCK,
-                    express=True,
-                )
-            publisher.put(payload, attachment=attachment)
+            try:
+                self._publisher(key, encoding).put(payload, attachment=attachment)
+            except zenoh.ZError:  # the session is closing, or the key is none: nothing else may stop here
+                self.dropped += 1
+
+    def _publisher(self, key: str, encoding: str) -> zenoh.Publisher:
+        publisher = self._publishers.get((key, encoding))
+        if publisher is None:
+            if len(self._publishers) >= _MAX_KEYS_REMEMBERED:
+                self._publishers.pop(next(iter(self._publishers))).undeclare()
+            publisher = self._publishers[key, encoding] = self._session.declare_publisher(
+                key,
+                encoding=zenoh.Encoding(encoding),
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                express=True,
+            )
+        return publisher
+
+
+def _bus_sample(key: str, sample: zenoh.Sample, received_ns: int, missed: int) -> BusSample:
+    attachment = sample.attachment
+    return BusSample(
+        key,
+        sample.payload,
+        str(sample.encoding),
+        b"" if attachment is None else attachment.to_bytes(),
+        received_ns,
+        missed,
+    )
 
 
 def _without_covered(key_expressions: Sequence[str]) -> list[str]:

@@ -14,9 +14,9 @@ from shaper.bus import BusSettings
 from shaper.endpoint import EndpointSettings
 from shaper.errors import ConfigError
 from shaper.incoming import Limits
-from shaper.key_expression import check_key_expression
+from shaper.key_expression import check_key_expression, is_key
 from shaper.link_estimator import PresetBand
-from shaper.traffic_class import DEFAULT_CLASSES, Compression, Keep, TopicRule, TrafficClass
+from shaper.traffic_class import DEFAULT_CLASSES, Compression, Entries, Keep, TopicRule, TrafficClass
 
 _NS_PER_MS = 1_000_000
 _NS_PER_S = 1_000_000_000
@@ -34,6 +34,23 @@ class ClassTable(_Table):
     ttl_ms: Annotated[float, Field(gt=0, le=86_400_000, allow_inf_nan=False)] | None = None
     depth: Annotated[int, Field(ge=1, le=100_000)] | None = None
     always_send: bool | None = None
+    reliable: bool | None = None
+    max_parity_ratio: Annotated[float, Field(ge=0, le=2)] | None = None
+    target_ratio: Annotated[float, Field(gt=0, lt=1)] | None = None
+
+
+class _TierTable(_Table):
+    guaranteed_ratio: Annotated[float, Field(gt=0, lt=1)]
+
+
+class _EntriesTable(_Table):
+    field: Annotated[int, Field(ge=1, le=536_870_911)]
+    key: Annotated[int, Field(ge=1, le=536_870_911)]
+    ignored: list[int] = []
+    ignored_outside: list[int] = []
+
+    def to_entries(self) -> Entries:
+        return Entries(self.field, self.key, frozenset(self.ignored), frozenset(self.ignored_outside))
 
 
 class _TopicTable(_Table):
@@ -41,6 +58,9 @@ class _TopicTable(_Table):
     traffic_class: str = Field(alias="class")
     max_hz: Annotated[float, Field(ge=1e-6, le=100_000, allow_inf_nan=False)] | None = None
     compression: Compression = Compression.RAW
+    weight: Annotated[float, Field(ge=0.001, le=1000)] = 1.0
+    entries: _EntriesTable | None = None
+    pull: bool = False
 
     @field_validator("key")
     @classmethod
@@ -91,10 +111,22 @@ class _LimitsTable(_Table):
     )
 
 
+class _MetricsTable(_Table):
+    listen: str
+
+    @field_validator("listen")
+    @classmethod
+    def _is_address(cls, value: str) -> str:
+        parse_address(value)
+        return value
+
+
 class _ShaperTable(_Table):
     link: _LinkTable
     zenoh: _ZenohTable
     classes: dict[str, ClassTable] = {}
+    tiers: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}$")], _TierTable] = {}
+    metrics: _MetricsTable | None = None
     topics: Annotated[list[_TopicTable], Field(min_length=1)]
     limits: _LimitsTable = _LimitsTable()
 
@@ -103,8 +135,8 @@ class _ShaperTable(_Table):
 class ShaperConfig:
     """Everything that `straitlink shaper` runs on.
 
-    listen, peer: UDP (host, port) of this side and of the other. resolved: the configuration with all
-    defaults filled in, to be saved beside a result.
+    listen, peer: UDP (host, port) of this side and of the other. metrics: where Prometheus may ask.
+    resolved: the configuration with all defaults filled in, to be saved beside a result.
     """
 
     side: Literal["robot", "operator"]
@@ -114,6 +146,7 @@ class ShaperConfig:
     endpoint: EndpointSettings
     bands: tuple[PresetBand, ...]
     pace_ratio: float
+    metrics: tuple[str, int] | None = None
     resolved: dict[str, Any] = field(default_factory=dict)
 
 
@@ -145,14 +178,23 @@ def parse_address(text: str) -> tuple[str, int]:
 def class_from_table(name: str, table: ClassTable, known: dict[str, TrafficClass]) -> TrafficClass:
     """A declared class, on top of a known one of the same name or of `state`."""
     base = known.get(name, DEFAULT_CLASSES["state"])
-    return TrafficClass(
+    made = TrafficClass(
         name=name,
         tier=base.tier if table.tier is None else table.tier,
         keep=base.keep if table.keep is None else table.keep,
         ttl_ns=base.ttl_ns if table.ttl_ms is None else round(table.ttl_ms * _NS_PER_MS),
         depth=base.depth if table.depth is None else table.depth,
         always_send=base.always_send if table.always_send is None else table.always_send,
+        reliable=base.reliable if table.reliable is None else table.reliable,
+        max_parity_ratio=base.max_parity_ratio if table.max_parity_ratio is None else table.max_parity_ratio,
+        target_ratio=base.target_ratio if table.target_ratio is None else table.target_ratio,
     )
+    if made.reliable and made.keep is Keep.LATEST:
+        raise ConfigError(
+            f'classes.{name}: reliable = true with keep = "latest": expected keep = "all" (each message is '
+            'delivered) or "changes" (the newest state is)'
+        )
+    return made
 
 
 def describe_validation_error(path: Path, error: ValidationError) -> str:
@@ -194,6 +236,9 @@ _TABLES: dict[str, type[BaseModel]] = {
     "classes": ClassTable,
     "topics": _TopicTable,
     "limits": _LimitsTable,
+    "tiers": _TierTable,
+    "entries": _EntriesTable,
+    "metrics": _MetricsTable,
 }
 
 
@@ -202,6 +247,23 @@ def _checked_expression(value: str) -> str:
     if reason is not None:
         raise ValueError(reason)
     return value
+
+
+def _check_topic(where: str, topic: _TopicTable, traffic_class: TrafficClass) -> None:
+    if topic.pull and not is_key(topic.key):
+        raise ConfigError(f"{where}.pull = true: expected a key without wildcards, not {topic.key!r}")
+    if topic.pull and (traffic_class.reliable or traffic_class.keep is Keep.CHANGES):
+        raise ConfigError(f"{where}.pull = true: expected a class that is not reliable, as the next item is")
+    if topic.entries is not None and traffic_class.keep is not Keep.CHANGES:
+        raise ConfigError(f'{where}.entries: expected a class with keep = "changes"')
+
+
+def _guaranteed(table: _ShaperTable, path: Path) -> dict[int, float]:
+    shares = {int(tier): row.guaranteed_ratio for tier, row in table.tiers.items()}
+    if sum(shares.values()) >= 1:
+        total = sum(shares.values())
+        raise ConfigError(f"{path}: tiers: guaranteed_ratio adds up to {total:g}: expected less than 1")
+    return shares
 
 
 def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
@@ -216,7 +278,18 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
                 f"{path}: topics[{index}].class = {topic.traffic_class!r}: expected one of {known}"
             )
         period_ns = 0 if topic.max_hz is None else round(_NS_PER_S / topic.max_hz)
-        rules.append(TopicRule(topic.key, classes[topic.traffic_class], period_ns, topic.compression))
+        _check_topic(f"{path}: topics[{index}]", topic, classes[topic.traffic_class])
+        rules.append(
+            TopicRule(
+                topic.key,
+                classes[topic.traffic_class],
+                period_ns,
+                topic.compression,
+                topic.weight,
+                None if topic.entries is None else topic.entries.to_entries(),
+                topic.pull,
+            )
+        )
     limits = Limits(
         table.limits.max_topics,
         table.limits.max_message_bytes,
@@ -229,10 +302,13 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         listen=parse_address(link.listen),
         peer=parse_address(link.peer),
         bus=BusSettings(table.zenoh.listen, table.zenoh.connect, table.zenoh.mode, table.zenoh.config),
-        endpoint=EndpointSettings(tuple(rules), tuple(link.accept), link.max_datagram_bytes, limits),
+        endpoint=EndpointSettings(
+            tuple(rules), tuple(link.accept), link.max_datagram_bytes, limits, _guaranteed(table, path)
+        ),
         bands=tuple(
             PresetBand(b.name, b.rate_bps, round(b.one_way_delay_ms * _NS_PER_MS)) for b in link.bands
         ),
         pace_ratio=link.pace_ratio,
+        metrics=None if table.metrics is None else parse_address(table.metrics.listen),
         resolved=table.model_dump(mode="json", by_alias=True),
     )

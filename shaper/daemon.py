@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import secrets
 import time
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 from messages.attachment import Stamp, decode_stamp
-from shaper.bus import BusError, BusInlet, BusOutlet, BusSample, Session, open_bus
+from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
 from shaper.datagram import EPOCH_BITS, IP_UDP_BYTES
 from shaper.endpoint import Endpoint, pump
-from shaper.events import Delivered, Event
+from shaper.events import Delivered, Event, LinkState, Receipt, Wanted
 from shaper.link_estimator import PresetBands
+from shaper.metrics import MetricsServer
 from shaper.trace import TraceFile
 from shaper.trace_records import (
     LEDGER_INTERVAL_NS,
@@ -25,10 +29,12 @@ from shaper.trace_records import (
     ledger_record,
     start_record,
 )
+from shaper.traffic_class import Keep, first_match
 from shaper.udp import UdpLink
 
 _NS_PER_S = 1_000_000_000
 _BUS_RETRY_S = 1.0
+_GATHER_S = 0.004  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
 
@@ -44,6 +50,8 @@ class Daemon:
         self._bins = SentBins(lambda record: self._trace.write(record) if self._trace else None)
         self._sends: Direction = "down" if config.side == "robot" else "up"
         self._timer: asyncio.TimerHandle | None = None
+        self._gathering = False
+        self._outlet: BusOutlet | None = None
         now_ns = time.monotonic_ns()
         estimator = PresetBands(
             config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES
@@ -52,39 +60,39 @@ class Daemon:
         self.endpoint = Endpoint(config.endpoint, estimator, epoch, now_ns, time.time_ns())
 
     async def run(self, stop: asyncio.Event) -> None:
-        """Carry messages until `stop` is set. Raises UdpError or BusError if it cannot start."""
-        loop = asyncio.get_running_loop()
-        self._loop = loop
-        self._link = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagram)
-        try:
+        """Carry messages until `stop` is set. Raises BusError, UdpError or MetricsError."""
+        self._loop = asyncio.get_running_loop()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._close_trace)
+            self._link = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagram)
+            stack.callback(self._link.close)
             session = await self._open_bus(stop)
-        except BusError:
-            self._link.close()
-            raise
-        if session is None:  # asked to stop while the bus was not there yet
-            self._link.close()
-            return
-        self._outlet = BusOutlet(session)
-        expressions = [rule.key_expression for rule in self._config.endpoint.rules]
-
-        def wake() -> None:
-            loop.call_soon_threadsafe(self._on_samples)
-
-        self._inlet = BusInlet(session, expressions, wake, time.monotonic_ns)
-        self._start_trace()
-        self._pump(time.monotonic_ns())
-        ledgers = asyncio.create_task(self._trace_ledgers())
-        try:
+            if session is None:  # asked to stop while the bus was not there yet
+                return
+            stack.callback(session.close)
+            outlet = self._outlet = BusOutlet(session)
+            stack.callback(outlet.close)
+            if self._config.metrics is not None:
+                stack.callback(MetricsServer(self._config.metrics, self.endpoint).close)
+            self._inlet = self._open_inlet(session)
+            stack.callback(self._inlet.close)
+            self._start_trace()
+            self._pump(time.monotonic_ns())
+            ledgers = asyncio.create_task(self._tell_ledgers())
+            stack.callback(ledgers.cancel)
+            stack.callback(self._stop_timer)
             await stop.wait()
-        finally:
-            ledgers.cancel()
-            if self._timer is not None:
-                self._timer.cancel()
-            self._inlet.close()
-            self._link.close()
-            self._outlet.close()
-            session.close()
-            self._close_trace()
+
+    def _open_inlet(self, session: Session) -> BusInlet:
+        def wake() -> None:
+            self._loop.call_soon_threadsafe(self._gather_samples)
+
+        expressions = [rule.key_expression for rule in self._config.endpoint.rules if not rule.pull]
+        return BusInlet(session, expressions, self._is_latest, wake, time.monotonic_ns)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
 
     async def _open_bus(self, stop: asyncio.Event) -> Session | None:
         """The local bus; one that we only connect to may come up later than we do."""
@@ -101,17 +109,30 @@ class Daemon:
 
     # What happens: the bus, the link, the timer.
 
+    def _gather_samples(self) -> None:
+        """Wait a moment for more: a bus of thousands of messages a second is worth few wake-ups."""
+        if not self._gathering:
+            self._gathering = True
+            self._loop.call_later(_GATHER_S, self._on_samples)
+
     def _on_samples(self) -> None:
+        self._gathering = False
         now_ns = time.monotonic_ns()
         unix_minus_monotonic_ns = time.time_ns() - now_ns
         more = False
         for sample in self._inlet.take():
-            capture_ns = _capture_ns(sample, unix_minus_monotonic_ns)
-            more |= self.endpoint.offer(sample.key, sample.payload, capture_ns, now_ns, sample.encoding)
+            stamp = decode_stamp(sample.attachment) if sample.attachment else None
+            capture_ns = _capture_ns(stamp, sample.received_ns, unix_minus_monotonic_ns)
+            if sample.missed:
+                self.endpoint.missed(sample.key, sample.missed)
+            tag = 0 if stamp is None else stamp.capture_ns << 32 | stamp.sequence
+            more |= self.endpoint.offer(sample.key, sample.payload, capture_ns, now_ns, sample.encoding, tag)
         if more:
             self._pump(now_ns)
 
     def _on_datagram(self, data: bytes) -> None:
+        if self._outlet is None:  # the bus is not there yet: nobody could be told
+            return
         now_ns = time.monotonic_ns()
         self.endpoint.receive_datagram(data, now_ns)
         self._pump(now_ns)
@@ -143,7 +164,13 @@ class Daemon:
             if capture_unix_ns is None:
                 capture_unix_ns = time.time_ns() - (event.age_ns or 0)
             stamp = Stamp(capture_unix_ns, event.number)
-            self._outlet.publish(event.key, event.payload, event.encoding, stamp.encode())
+            self._publish(event.key, event.payload, event.encoding, stamp.encode())
+        elif isinstance(event, Receipt):
+            self._tell(f"receipt/{event.key}", receipt_document(event))
+        elif isinstance(event, LinkState):
+            self._tell("link", asdict(event))
+        elif isinstance(event, Wanted):
+            self._inlet.ask(event.key, event.budget_bytes)
         if self._trace is not None:
             self._trace.write(event_record(event, time.monotonic_ns()))
 
@@ -153,13 +180,31 @@ class Daemon:
         if self._trace is not None:
             self._trace.write(start_record(self._config.side, time.monotonic_ns(), time.time_ns()))
 
-    async def _trace_ledgers(self) -> None:
+    async def _tell_ledgers(self) -> None:
         while True:
             await asyncio.sleep(LEDGER_INTERVAL_NS / _NS_PER_S)
             now_ns = time.monotonic_ns()
             self.endpoint.set_wall_clock(time.time_ns(), now_ns)
+            record = ledger_record(self.endpoint, self._sends, now_ns)
+            self._tell("ledger", record)
+            for key, (budget_bytes, period_ns) in self.endpoint.demands(now_ns).items():
+                self._tell(f"demand/{key}", {"budget_bytes": budget_bytes, "period_ns": period_ns})
             if self._trace is not None:
-                self._trace.write(ledger_record(self.endpoint, self._sends, now_ns))
+                self._trace.write(record)
+
+    def _tell(self, name: str, document: Mapping[str, object]) -> None:
+        """Publish something about the link itself on the local bus; wildcards do not match it."""
+        payload = json.dumps(document, separators=(",", ":")).encode()
+        self._publish(f"@straitlink/{name}", payload, "application/json", b"")
+
+    def _publish(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
+        assert self._outlet is not None, "nothing comes in before the bus is open"
+        self._outlet.publish(key, payload, encoding, attachment)
+
+    def _is_latest(self, key: str) -> bool:
+        """Whether only the newest sample of a key counts."""
+        rule = first_match(self._config.endpoint.rules, key)
+        return rule is not None and rule.traffic_class.keep is Keep.LATEST
 
     def _close_trace(self) -> None:
         self._bins.flush()
@@ -168,11 +213,20 @@ class Daemon:
             self._trace.close()
 
 
-def _capture_ns(sample: BusSample, unix_minus_monotonic_ns: int) -> int:
+def _capture_ns(stamp: Stamp | None, received_ns: int, unix_minus_monotonic_ns: int) -> int:
     """When a sample was captured, on the monotonic clock: by its stamp if plausible, else its arrival."""
-    stamp = decode_stamp(sample.attachment) if sample.attachment else None
     if stamp is None:
-        return sample.received_ns
+        return received_ns
     capture_ns = stamp.capture_ns - unix_minus_monotonic_ns
-    age_ns = sample.received_ns - capture_ns
-    return capture_ns if _EARLIEST_CAPTURE_NS < age_ns < _OLDEST_CAPTURE_NS else sample.received_ns
+    age_ns = received_ns - capture_ns
+    return capture_ns if _EARLIEST_CAPTURE_NS < age_ns < _OLDEST_CAPTURE_NS else received_ns
+
+
+def receipt_document(receipt: Receipt) -> dict[str, object]:
+    """A receipt as it is published: the publisher knows its message by the stamp that it attached."""
+    return {
+        "topic": receipt.key,
+        "stage": receipt.stage.value,
+        "capture_ns": receipt.tag >> 32,
+        "sequence": receipt.tag & 0xFFFF_FFFF,
+    }

@@ -11,9 +11,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 
 from shaper.errors import DecodeError
-from shaper.varint import append_varint, read_varint, varint_bytes
+from shaper.varint import MAX_VALUE, append_varint, read_varint, varint_bytes
 
 VERSION = 1
 HEADER_BYTES = 10
@@ -22,15 +23,20 @@ NUMBER_BITS = 24
 STAMP_BITS = 32
 EPOCH_BITS = 16
 MESSAGE_NUMBER_BITS = 16
+ARRIVED_BITS = 64
+MAX_SHARES = 256  # source and repair together: the code works in GF(2^8)
+SENT_COUNTERS, RECEIVED_COUNTERS = 8, 5  # in a row of a ledger frame
 
 _HEADER = struct.Struct("<BHHBI")  # version/flags, epoch, number low 16, number high 8, stamp
 _ELICITS_REPORT = 0x10
 
-_MESSAGE, _FRAGMENT, _REPORT, _HELLO, _KNOWN = 1, 2, 3, 4, 5
+_LEDGER, _MESSAGE, _PART, _REPORT, _HELLO, _KNOWN, _RECEIPT, _SKIP = range(8)
 _TYPE_MASK = 0x07
-_NAMED, _LATEST, _COMPRESSED = 0x08, 0x10, 0x20
+_NAMED, _LATEST, _COMPRESSED, _RELIABLE, _CODED = 0x08, 0x10, 0x20, 0x40, 0x80
+_SENT_HALF = 0x08  # of a ledger frame: the sender's counters, not the receiver's
 
 _NUMBER = struct.Struct("<H")
+_RECEIPT_ROW = struct.Struct("<HB")
 _HELLO_BODY = struct.Struct("<q")
 _REPORT_BODY = struct.Struct("<HHBII")  # epoch reported on, largest number, its arrival stamp, received
 
@@ -47,20 +53,27 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class TopicName:
-    """A topic written out: its key and the encoding of its payloads."""
+    """A topic written out: its key, the encoding of its payloads, and how long they are worth anything.
+
+    ttl_ms: a message older than this is not delivered; 0 for no limit.
+    """
 
     key: str
     encoding: str
+    ttl_ms: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class MessageFrame:
-    """A whole message, or the part of one from `offset`.
+    """A whole message, a part of one from `offset`, or one of its shares.
 
-    topic_id: the sender's short number for a (key, encoding).
+    topic_id: the sender's short number for a topic.
     name: what the number stands for; present until the receiver has confirmed that it knows.
     age_us: capture to the datagram's send stamp, microseconds.
-    total_bytes: size of the whole message; a part is shorter.
+    total_bytes: size of the whole message; a part is shorter. -1 for a whole message.
+    reliable: to be delivered once and in order; then `back` is how many numbers before this one the
+    oldest is that may still come.
+    shares_needed: above 0 for a share of an erasure code; `offset` is then its index.
     """
 
     topic_id: int
@@ -72,10 +85,13 @@ class MessageFrame:
     name: TopicName | None = None
     latest: bool = False
     compressed: bool = False
+    reliable: bool = False
+    back: int = 0
+    shares_needed: int = 0
 
     @property
     def is_whole(self) -> bool:
-        return self.total_bytes < 0 or len(self.data) == self.total_bytes
+        return not self.shares_needed and (self.total_bytes < 0 or len(self.data) == self.total_bytes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +102,8 @@ class ReportFrame:
     largest: low bits of the largest packet number that arrived; arrival_us: when.
     received: packets that arrived in all since the receiver knows this epoch, modulo 2^32.
     earlier: (numbers before the one above, microseconds of arrival before it), newest first.
+    arrived: bit i tells whether packet (largest - 1 - i) has arrived; empty if the last ARRIVED_BITS all
+    have. So a lost report hides nothing, and what is missing is told again and again.
     """
 
     epoch: int
@@ -93,6 +111,7 @@ class ReportFrame:
     arrival_us: int
     received: int
     earlier: tuple[tuple[int, int], ...] = ()
+    arrived: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +129,40 @@ class KnownFrame:
     topic_ids: tuple[int, ...]
 
 
-Frame = MessageFrame | ReportFrame | HelloFrame | KnownFrame
+class Outcome(IntEnum):
+    """What the receiver did with a reliable message."""
+
+    DELIVERED = 0
+    EXPIRED = 1  # it came, but after its time to live
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiptFrame:
+    """What became of reliable messages: (topic id of the peer's epoch, message number, outcome)."""
+
+    epoch: int
+    receipts: tuple[tuple[int, int, Outcome], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SkipFrame:
+    """Reliable messages of a topic before this number will not come any more."""
+
+    topic_id: int
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class LedgerFrame:
+    """Counters since the start, by topic id: of the sender of this frame for its own topics (`sent_half`),
+    or of what it received, by the ids of the peer's epoch."""
+
+    epoch: int
+    sent_half: bool
+    rows: tuple[tuple[int, tuple[int, ...]], ...]
+
+
+Frame = MessageFrame | ReportFrame | HelloFrame | KnownFrame | ReceiptFrame | SkipFrame | LedgerFrame
 
 
 def write_header(out: bytearray, header: Header) -> None:
@@ -132,34 +184,44 @@ def message_overhead_bytes(
 ) -> int:
     """The most that the frame of a message, or of a part of it, takes besides its data."""
     size = (
-        3
+        5  # kind, number, and two bytes of `back`
         + varint_bytes(topic_id)
         + varint_bytes(age_us)
         + varint_bytes(offset)
         + 2 * varint_bytes(total_bytes)
     )
     if name is not None:
-        size += 4 + len(name.key.encode()) + len(name.encoding.encode())
+        size += 4 + len(name.key.encode()) + len(name.encoding.encode()) + varint_bytes(name.ttl_ms)
     return size
 
 
+SHARE_OVERHEAD_BYTES = 3  # a share says how many are needed, and its index may take two bytes
+
+
 def append_message(out: bytearray, frame: MessageFrame) -> None:
-    """Write a message or a part of one."""
+    """Write a message, a part of one or a share."""
     whole = frame.is_whole
     out.append(
-        (_MESSAGE if whole else _FRAGMENT)
+        (_MESSAGE if whole else _PART)
         | (_NAMED if frame.name is not None else 0)
         | (_LATEST if frame.latest else 0)
         | (_COMPRESSED if frame.compressed else 0)
+        | (_RELIABLE if frame.reliable else 0)
+        | (_CODED if frame.shares_needed else 0)
     )
     append_varint(out, frame.topic_id)
     out += _NUMBER.pack(frame.number & 0xFFFF)
     append_varint(out, frame.age_us)
+    if frame.reliable:
+        append_varint(out, frame.back)
     if frame.name is not None:
         _append_text(out, frame.name.key)
         _append_text(out, frame.name.encoding)
+        append_varint(out, frame.name.ttl_ms)
     if not whole:
         append_varint(out, frame.offset)
+        if frame.shares_needed:
+            append_varint(out, frame.shares_needed)
         append_varint(out, frame.total_bytes)
     append_varint(out, len(frame.data))
     out += frame.data
@@ -180,6 +242,8 @@ def append_report(out: bytearray, frame: ReportFrame) -> None:
     for numbers_before, us_before in frame.earlier:
         append_varint(out, numbers_before)
         append_varint(out, max(0, us_before))
+    append_varint(out, len(frame.arrived))
+    out += frame.arrived
 
 
 def append_hello(out: bytearray, frame: HelloFrame) -> None:
@@ -197,6 +261,34 @@ def append_known(out: bytearray, frame: KnownFrame) -> None:
         append_varint(out, topic_id)
 
 
+def append_receipt(out: bytearray, frame: ReceiptFrame) -> None:
+    """Write what became of reliable messages."""
+    out.append(_RECEIPT)
+    out += _NUMBER.pack(frame.epoch)
+    append_varint(out, len(frame.receipts))
+    for topic_id, number, outcome in frame.receipts:
+        append_varint(out, topic_id)
+        out += _RECEIPT_ROW.pack(number & 0xFFFF, outcome)
+
+
+def append_skip(out: bytearray, frame: SkipFrame) -> None:
+    """Write which reliable messages will not come any more."""
+    out.append(_SKIP)
+    append_varint(out, frame.topic_id)
+    out += _NUMBER.pack(frame.number & 0xFFFF)
+
+
+def append_ledger(out: bytearray, frame: LedgerFrame) -> None:
+    """Write counters; those that outgrow a varint go round."""
+    out.append(_LEDGER | (_SENT_HALF if frame.sent_half else 0))
+    out += _NUMBER.pack(frame.epoch)
+    append_varint(out, len(frame.rows))
+    for topic_id, counters in frame.rows:
+        append_varint(out, topic_id)
+        for counter in counters:
+            append_varint(out, counter & MAX_VALUE)
+
+
 def decode_datagram(data: bytes) -> tuple[Header, list[Frame]]:
     """Header and frames of a datagram. Returns, or raises DecodeError and nothing else."""
     if len(data) < HEADER_BYTES:
@@ -208,10 +300,7 @@ def decode_datagram(data: bytes) -> tuple[Header, list[Frame]]:
     frames: list[Frame] = []
     at = HEADER_BYTES
     while at < len(data):
-        reader = _READERS.get(data[at] & _TYPE_MASK)
-        if reader is None:
-            raise DecodeError(f"frame type {data[at]:#04x} at byte {at} is unknown")
-        frame, at = reader(data, at)
+        frame, at = _READERS[data[at] & _TYPE_MASK](data, at)
         frames.append(frame)
     return header, frames
 
@@ -247,31 +336,57 @@ def _read_message(data: bytes, at: int) -> tuple[Frame, int]:
     topic_id, at = read_varint(data, at + 1)
     (number,) = _unpack(_NUMBER, data, at)
     age_us, at = read_varint(data, at + 2)
+    back = 0
+    if kind & _RELIABLE:
+        back, at = read_varint(data, at)
     name = None
     if kind & _NAMED:
-        key, at = _read_text(data, at)
-        encoding, at = _read_text(data, at)
-        name = TopicName(key, encoding)
-    offset, total_bytes = 0, -1
-    if kind & _TYPE_MASK == _FRAGMENT:
+        name, at = _read_name(data, at)
+    offset, total_bytes, shares_needed = 0, -1, 0
+    if kind & _TYPE_MASK == _PART:
         offset, at = read_varint(data, at)
+        if kind & _CODED:
+            shares_needed, at = read_varint(data, at)
         total_bytes, at = read_varint(data, at)
     count, at = read_varint(data, at)
     body, at = _take(data, at, count)
-    if total_bytes >= 0 and (count == 0 or offset + count > total_bytes):
+    if shares_needed:
+        _check_share(offset, shares_needed, total_bytes, count)
+    elif kind & _CODED:
+        raise DecodeError(f"a message at byte {at} is coded, but needs no shares")
+    elif total_bytes >= 0 and (count == 0 or offset + count > total_bytes):
         raise DecodeError(f"a part of {count} bytes at {offset} does not fit a message of {total_bytes}")
-    frame = MessageFrame(
-        topic_id,
-        number,
-        age_us,
-        body,
-        offset,
-        total_bytes,
-        name,
-        bool(kind & _LATEST),
-        bool(kind & _COMPRESSED),
+    return (
+        MessageFrame(
+            topic_id,
+            number,
+            age_us,
+            body,
+            offset,
+            total_bytes,
+            name,
+            bool(kind & _LATEST),
+            bool(kind & _COMPRESSED),
+            bool(kind & _RELIABLE),
+            back,
+            shares_needed,
+        ),
+        at,
     )
-    return frame, at
+
+
+def _check_share(index: int, needed: int, total_bytes: int, count: int) -> None:
+    if not (index < MAX_SHARES and needed <= MAX_SHARES and needed <= total_bytes):
+        raise DecodeError(f"share {index} of {needed} for {total_bytes} bytes cannot be")
+    if not 0 < count <= -(-total_bytes // needed):
+        raise DecodeError(f"a share of {count} bytes is none of {needed} for {total_bytes} bytes")
+
+
+def _read_name(data: bytes, at: int) -> tuple[TopicName, int]:
+    key, at = _read_text(data, at)
+    encoding, at = _read_text(data, at)
+    ttl_ms, at = read_varint(data, at)
+    return TopicName(key, encoding, ttl_ms), at
 
 
 def _read_report(data: bytes, at: int) -> tuple[Frame, int]:
@@ -284,7 +399,11 @@ def _read_report(data: bytes, at: int) -> tuple[Frame, int]:
         numbers_before, at = read_varint(data, at)
         us_before, at = read_varint(data, at)
         earlier.append((numbers_before, us_before))
-    return ReportFrame(epoch, high << 16 | low, arrival_us, received, tuple(earlier)), at
+    size, at = read_varint(data, at)
+    if size * 8 > ARRIVED_BITS:
+        raise DecodeError(f"a report of {size * 8} arrivals is longer than {ARRIVED_BITS}")
+    arrived, at = _take(data, at, size)
+    return ReportFrame(epoch, high << 16 | low, arrival_us, received, tuple(earlier), arrived), at
 
 
 def _read_hello(data: bytes, at: int) -> tuple[Frame, int]:
@@ -303,10 +422,52 @@ def _read_known(data: bytes, at: int) -> tuple[Frame, int]:
     return KnownFrame(epoch, tuple(topic_ids)), at
 
 
+def _read_receipt(data: bytes, at: int) -> tuple[Frame, int]:
+    (epoch,) = _unpack(_NUMBER, data, at + 1)
+    count, at = read_varint(data, at + 1 + _NUMBER.size)
+    if count > len(data):
+        raise DecodeError(f"{count} receipts do not fit a datagram of {len(data)} bytes")
+    receipts = []
+    for _ in range(count):
+        topic_id, at = read_varint(data, at)
+        number, outcome = _unpack(_RECEIPT_ROW, data, at)
+        at += _RECEIPT_ROW.size
+        if outcome not in (Outcome.DELIVERED, Outcome.EXPIRED):
+            raise DecodeError(f"a receipt's outcome {outcome} is unknown")
+        receipts.append((topic_id, number, Outcome(outcome)))
+    return ReceiptFrame(epoch, tuple(receipts)), at
+
+
+def _read_skip(data: bytes, at: int) -> tuple[Frame, int]:
+    topic_id, at = read_varint(data, at + 1)
+    return SkipFrame(topic_id, _unpack(_NUMBER, data, at)[0]), at + _NUMBER.size
+
+
+def _read_ledger(data: bytes, at: int) -> tuple[Frame, int]:
+    sent_half = bool(data[at] & _SENT_HALF)
+    counters = SENT_COUNTERS if sent_half else RECEIVED_COUNTERS
+    (epoch,) = _unpack(_NUMBER, data, at + 1)
+    count, at = read_varint(data, at + 1 + _NUMBER.size)
+    if count * (counters + 1) > len(data):
+        raise DecodeError(f"{count} ledger rows do not fit a datagram of {len(data)} bytes")
+    rows = []
+    for _ in range(count):
+        topic_id, at = read_varint(data, at)
+        values = []
+        for _ in range(counters):
+            value, at = read_varint(data, at)
+            values.append(value)
+        rows.append((topic_id, tuple(values)))
+    return LedgerFrame(epoch, sent_half, tuple(rows)), at
+
+
 _READERS: dict[int, Callable[[bytes, int], tuple[Frame, int]]] = {
     _MESSAGE: _read_message,
-    _FRAGMENT: _read_message,
+    _PART: _read_message,
     _REPORT: _read_report,
     _HELLO: _read_hello,
     _KNOWN: _read_known,
+    _RECEIPT: _read_receipt,
+    _SKIP: _read_skip,
+    _LEDGER: _read_ledger,
 }

@@ -8,7 +8,7 @@ what has happened, and says when to come back. The same class runs live, in virt
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 
 from shaper.datagram import (
@@ -16,23 +16,30 @@ from shaper.datagram import (
     IP_UDP_BYTES,
     Header,
     HelloFrame,
+    KnownFrame,
+    LedgerFrame,
     MessageFrame,
+    ReceiptFrame,
     ReportFrame,
+    SkipFrame,
     append_hello,
     append_known,
+    append_ledger,
+    append_receipt,
     append_report,
     decode_datagram,
     write_header,
 )
 from shaper.errors import DecodeError
-from shaper.events import Event, LinkState, PeerStarted
+from shaper.events import Event, LinkState, PeerStarted, Wanted
 from shaper.incoming import Incoming, Limits
 from shaper.ledger import ReceivedLedger, SentLedger
+from shaper.ledger_exchange import LedgerExchange
 from shaper.link_estimator import LinkEstimator, datagram_wire_bytes
-from shaper.outgoing import Outgoing
+from shaper.outgoing import Opportunity, Outgoing
 from shaper.pacer import NS_PER_S, Pacer
-from shaper.path import Path
-from shaper.queues import Payload
+from shaper.path import Content, Path
+from shaper.queues import Payload, TopicQueue
 from shaper.traffic_class import TopicRule
 
 BEAT_INTERVAL_NS = 1_000_000_000  # each side says at least this often that it is there
@@ -42,7 +49,17 @@ REPORT_SHARE = 0.03  # ... but pure reports take no more than this share of our 
 _REPORT_WIRE_BYTES = 75  # a typical pure report: headers, a report of ten arrivals
 _PIGGYBACK_NS = 20_000_000  # a datagram that leaves anyway carries a report if the last is older
 _CREDIT_NS = 10_000_000  # what a late timer may catch up, as time at the present rate
-_KNOWN_PER_DATAGRAM = 32  # topics confirmed at a time; more wait for the next datagram
+_CONFIRMATIONS_PER_DATAGRAM = 32  # topics or messages at a time; more wait for the next datagram
+# A probe asks for a report when a message waits for its outcome, or for room on a held link, and nothing
+# has been sent for a while: a round trip and its variation, or just a round trip once the peer is silent.
+_PROBE_INTERVAL_NS = 100_000_000
+_PROBE_SHARE = 0.05  # and never more than this share of the rate
+_PROBE_WIRE_BYTES = 47
+# After so long without a datagram from the peer, heartbeats too leave only at that share: where a blackout
+# holds the queue, all that was sent into it comes before anything new.
+_SILENCE_NS = 3_000_000_000
+_TRICKLE_WIRE_BYTES = 110
+_ANY_TIME_NS = -(1 << 62)  # before any clock
 _RETIRED_EPOCHS = 8  # former lives of the peer whose late datagrams are recognised
 
 
@@ -52,12 +69,14 @@ class EndpointSettings:
 
     rules: topics that this side sends, first match wins. accept: key expressions that it takes.
     max_datagram_bytes: UDP payload, excluding IP and UDP headers.
+    guaranteed: by tier, the share (0..1) of the bytes that it gets whatever the tiers above it want.
     """
 
     rules: tuple[TopicRule, ...]
     accept: tuple[str, ...] = ("**",)
     max_datagram_bytes: int = 1200
     limits: Limits = field(default_factory=Limits)
+    guaranteed: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -71,6 +90,15 @@ class Counters:
     malformed: int = 0
     duplicate: int = 0
     stale_epoch: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Due:
+    """What must leave now, whether or not there are messages."""
+
+    beat: bool = False
+    report: bool = False
+    probe: bool = False
 
 
 class Endpoint:
@@ -90,26 +118,43 @@ class Endpoint:
         self._epoch = epoch
         self._estimator = estimator
         self._unix_minus_monotonic_ns = unix_ns - now_ns
-        self._outgoing = Outgoing(settings.rules, limits.max_topics, limits.max_message_bytes)
+        self._outgoing = Outgoing(
+            settings.rules, limits.max_topics, limits.max_message_bytes, settings.guaranteed
+        )
+        self._ledgers = LedgerExchange(epoch)
         self._incoming: Incoming | None = None
         self._retired_epochs: deque[int] = deque(maxlen=_RETIRED_EPOCHS)
         self._path = Path()
         self._pacer = Pacer(estimator.rate_bps, self._credit_bytes(), now_ns)
         self._events: deque[Event] = deque()
         self._beat_at_ns = now_ns
-        self._link_state: LinkState | None = None
+        self._last_sent_ns = now_ns
+        self._last_heard_ns = now_ns
         self._report_at_once = False  # a peer just met gets its first report without waiting
         self._reported_at_ns = now_ns
 
     # What happens to an endpoint.
 
-    def offer(self, key: str, payload: Payload, capture_ns: int, now_ns: int, encoding: str = "") -> bool:
+    def offer(
+        self,
+        key: str,
+        payload: Payload,
+        capture_ns: int,
+        now_ns: int,
+        encoding: str = "",
+        tag: int = 0,
+    ) -> bool:
         """A local publisher has a message. capture_ns: on this host's monotonic clock.
 
-        False if nothing more waits than before (dropped, or put in the place of an older sample): then
-        there is nothing to pump, which is what makes thousands of unwanted messages a second cheap.
+        tag: comes back in the receipts of a reliable message. False if nothing more waits than before
+        (dropped, or put in the place of an older sample): then there is nothing to pump, which is what
+        makes thousands of unwanted messages a second cheap.
         """
-        return self._outgoing.offer(key, payload, encoding, capture_ns, now_ns)
+        return self._outgoing.offer(key, payload, encoding, capture_ns, now_ns, tag)
+
+    def missed(self, key: str, count: int) -> None:
+        """Count offers of a `latest` topic that newer ones replaced before they came to be made."""
+        self._outgoing.missed(key, count)
 
     def receive_datagram(self, data: bytes, now_ns: int) -> None:
         """The link has brought a datagram. Malformed ones are counted, never raised."""
@@ -122,6 +167,7 @@ class Endpoint:
 
     def on_timer(self, now_ns: int) -> None:
         """The time that `pump` returned has come."""
+        self._outgoing.want_what_is_due(now_ns)
         wakeup_ns = self._estimator.wakeup_at_ns()
         if wakeup_ns is not None and wakeup_ns <= now_ns:
             self._estimator.on_timer(now_ns)
@@ -135,44 +181,54 @@ class Endpoint:
 
     def next_datagram(self, now_ns: int) -> bytes | None:
         """The next datagram that may leave now, or None."""
-        only_emergency = not self._pacer.may_send(now_ns)
+        only_emergency = not self._pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
         holding = self.holding
-        scheduler = self._outgoing.scheduler
-        queue = scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
-        beat_due = not only_emergency and now_ns >= self._beat_at_ns
-        report_due_ns = self._report_due_ns()
-        report_due = not only_emergency and report_due_ns is not None and report_due_ns <= now_ns
-        if queue is None and not beat_due and not report_due:
+        queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
+        due = _Due() if only_emergency else self._what_is_due(now_ns)
+        if queue is None and not (due.beat or due.report or due.probe):
             return None
         out = bytearray(HEADER_BYTES)
-        said_hello = self._append_control(out, now_ns, beat_due, report_due)
-        has_messages = queue is not None and self._outgoing.fill(
-            out,
-            self._datagram_limit_bytes(),
-            self._estimator.rate_bps,
-            now_ns,
-            only_always_send=holding,
-            only_emergency=only_emergency,
-        )
-        if len(out) == HEADER_BYTES:  # what waited has expired
+        said_hello, contents = self._append_control(out, now_ns, due)
+        has_messages = False
+        if queue is not None:
+            has_messages, more = self._outgoing.fill(
+                out,
+                Opportunity(
+                    limit_bytes=self._datagram_limit_bytes(),
+                    max_bytes=self._settings.max_datagram_bytes,
+                    rate_bps=self._estimator.rate_bps,
+                    loss_ratio=self._path.loss_ratio,
+                    now_ns=now_ns,
+                    only_always_send=holding,
+                    only_emergency=only_emergency,
+                ),
+            )
+            contents += more
+            self._ask_for_what_is_wanted(now_ns)
+        if len(out) == HEADER_BYTES:  # what waited has expired, or is to be asked for first
             return None
-        return self._seal(out, now_ns, elicits_report=has_messages or said_hello)
+        return self._seal(out, now_ns, contents, elicits_report=has_messages or said_hello or bool(contents))
 
     def next_event(self) -> Event | None:
         """The oldest event not handed over yet, or None."""
+        if self._outgoing.receipts:
+            self._events.extend(self._outgoing.receipts)
+            self._outgoing.receipts.clear()
         return self._events.popleft() if self._events else None
 
     def wakeup_at_ns(self, now_ns: int) -> int:
         """When something falls due or may leave, if nothing happens before."""
         wakeup_ns = self._beat_at_ns
-        report_due_ns = self._report_due_ns()
-        if report_due_ns is not None and report_due_ns < wakeup_ns:
-            wakeup_ns = report_due_ns
+        for at_ns in (self._report_due_ns(), self._probe_at_ns()):
+            if at_ns is not None and at_ns < wakeup_ns:
+                wakeup_ns = at_ns
         if self._outgoing.scheduler.next_queue(only_always_send=self.holding) is not None:
             wakeup_ns = now_ns
-        wakeup_ns = max(wakeup_ns, self._pacer.next_send_at_ns(now_ns))
-        estimator_ns = self._estimator.wakeup_at_ns()
-        return wakeup_ns if estimator_ns is None else min(wakeup_ns, estimator_ns)
+        wakeup_ns = max(wakeup_ns, self._pacer.next_send_at_ns(now_ns), self._trickle_at_ns())
+        for at_ns in (self._estimator.wakeup_at_ns(), self._outgoing.wants_at_ns()):
+            if at_ns is not None and at_ns < wakeup_ns:
+                wakeup_ns = max(at_ns, now_ns + 1)
+        return wakeup_ns
 
     # What drivers and people look at.
 
@@ -180,6 +236,26 @@ class Endpoint:
     def holding(self) -> bool:
         """Whether only classes with always_send may leave: no peer heard yet, or enough in flight."""
         return self._incoming is None or self._path.bytes_in_flight >= self._estimator.in_flight_limit_bytes
+
+    def budget_bytes(self, queue: TopicQueue, now_ns: int) -> int:
+        """What a topic may make per period, by the rate and what higher tiers took of it lately."""
+        rule = queue.rule
+        period_ns = rule.min_period_ns or NS_PER_S
+        rate_bps = self._estimator.rate_bps
+        budget = self._outgoing.demand.budget_bytes(rule.traffic_class.tier, rate_bps, period_ns, now_ns)
+        return min(budget, self._settings.limits.max_message_bytes)
+
+    def demands(self, now_ns: int) -> dict[str, tuple[int, int]]:
+        """Per topic: the bytes that a message may have now, and the period (ns) for which that holds."""
+        return {
+            queue.key: (self.budget_bytes(queue, now_ns), queue.rule.min_period_ns or NS_PER_S)
+            for queue in self._outgoing.queues()
+        }
+
+    @property
+    def peer_ledgers(self) -> LedgerExchange:
+        """What the peer says of its own counters."""
+        return self._ledgers
 
     def sent_ledgers(self) -> dict[str, SentLedger]:
         """Counters of the topics that this side sends, by key."""
@@ -212,39 +288,83 @@ class Endpoint:
 
     # Sending.
 
-    def _append_control(self, out: bytearray, now_ns: int, beat_due: bool, report_due: bool) -> bool:
+    def _what_is_due(self, now_ns: int) -> _Due:
+        report_ns, probe_ns = self._report_due_ns(), self._probe_at_ns()
+        return _Due(
+            beat=now_ns >= self._beat_at_ns,
+            report=report_ns is not None and report_ns <= now_ns,
+            probe=probe_ns is not None and probe_ns <= now_ns,
+        )
+
+    def _append_control(self, out: bytearray, now_ns: int, due: _Due) -> tuple[bool, tuple[Content, ...]]:
         """Append what the two ends tell each other beside messages; whether that includes a hello."""
         incoming = self._incoming
+        contents: tuple[Content, ...] = ()
         if incoming is not None:
-            if incoming.has_unreported and (report_due or now_ns - self._reported_at_ns >= _PIGGYBACK_NS):
+            if incoming.has_unreported and (due.report or now_ns - self._reported_at_ns >= _PIGGYBACK_NS):
                 append_report(out, incoming.take_report())
                 self._reported_at_ns = now_ns
             if incoming.has_to_confirm:
-                known = incoming.take_known(_KNOWN_PER_DATAGRAM)
-                append_known(out, known)
-        if beat_due:
+                append_known(out, incoming.take_known(_CONFIRMATIONS_PER_DATAGRAM))
+            if incoming.has_receipts:
+                frame, content = incoming.take_receipts(_CONFIRMATIONS_PER_DATAGRAM)
+                append_receipt(out, frame)
+                contents = (content,)
+        if due.beat:
             interval_ns = SEARCH_INTERVAL_NS if incoming is None else BEAT_INTERVAL_NS
             self._beat_at_ns = now_ns + interval_ns
             self._events.append(self.link_state())
-        if beat_due or not self._path.reported:
+            if incoming is not None:
+                for ledger in self._ledgers.take(self._outgoing, incoming):
+                    append_ledger(out, ledger)
+        if due.beat or due.probe or not self._path.reported:
             append_hello(out, HelloFrame(now_ns // 1000 * 1000 + self._unix_minus_monotonic_ns))
-            return True
-        return False
+            return True, contents
+        return False, contents
 
-    def _seal(self, out: bytearray, now_ns: int, *, elicits_report: bool) -> bytes:
-        packet = self._path.on_sent(len(out) + IP_UDP_BYTES, now_ns)
+    def _ask_for_what_is_wanted(self, now_ns: int) -> None:
+        outgoing = self._outgoing
+        while outgoing.wanted:
+            queue = outgoing.wanted.popleft()
+            self._events.append(Wanted(queue.key, self.budget_bytes(queue, now_ns)))
+
+    def _seal(
+        self, out: bytearray, now_ns: int, contents: tuple[Content, ...], *, elicits_report: bool
+    ) -> bytes:
+        packet = self._path.on_sent(len(out) + IP_UDP_BYTES, now_ns, contents)
         write_header(out, Header(self._epoch, packet.number, now_ns // 1000, elicits_report))
         self._pacer.on_sent(packet.wire_bytes, now_ns)
         self._estimator.on_sent(packet, now_ns)
         self.counters.sent_datagrams += 1
         self.counters.sent_wire_bytes += packet.wire_bytes
+        if elicits_report:
+            self._last_sent_ns = now_ns
         return bytes(out)
+
+    def _trickle_at_ns(self) -> int:
+        """When the next datagram may leave although nothing comes back: what a held queue would add up."""
+        if self._incoming is None or self._last_sent_ns - self._last_heard_ns < _SILENCE_NS:
+            return _ANY_TIME_NS
+        share_ns = int(_TRICKLE_WIRE_BYTES * 8 * NS_PER_S / (_PROBE_SHARE * self._estimator.rate_bps))
+        return self._last_sent_ns + max(_PROBE_INTERVAL_NS, share_ns)
+
+    def _probe_at_ns(self) -> int | None:
+        """When to ask for a report because something waits on one: see _PROBE_SHARE."""
+        if self._incoming is None:
+            return None
+        waits = self._outgoing.scheduler.next_queue() is not None if self.holding else False
+        if not waits and not self._outgoing.awaits_outcomes:
+            return None
+        share_ns = int(_PROBE_WIRE_BYTES * 8 * NS_PER_S / (_PROBE_SHARE * self._estimator.rate_bps))
+        silent = self._last_sent_ns - self._last_heard_ns > self._path.probe_timeout_ns()
+        patience_ns = self._path.smoothed_rtt_ns if silent else self._path.probe_timeout_ns()
+        return self._last_sent_ns + max(_PROBE_INTERVAL_NS, share_ns, patience_ns)
 
     def _report_due_ns(self) -> int | None:
         incoming = self._incoming
         if incoming is None or incoming.unreported_since_ns is None:
             return None
-        if self._report_at_once:
+        if self._report_at_once or incoming.after_silence:
             return incoming.unreported_since_ns
         share_ns = int(_REPORT_WIRE_BYTES * 8 * NS_PER_S / (REPORT_SHARE * self._estimator.rate_bps))
         return incoming.unreported_since_ns + max(REPORT_INTERVAL_NS, share_ns)
@@ -273,28 +393,40 @@ class Endpoint:
                 self.counters.stale_epoch += 1
                 return
             incoming = self._meet_peer(header.epoch, now_ns)
+        self._last_heard_ns = now_ns
         sent_us = incoming.accept_packet(header, now_ns)
         if sent_us is None:
             self.counters.duplicate += 1
             return
         for frame in frames:
-            if isinstance(frame, MessageFrame):
-                delivered = incoming.on_message(frame, sent_us, now_ns)
-                if delivered is not None:
-                    self._events.append(delivered)
-            elif isinstance(frame, ReportFrame):
-                self._on_report(frame, sent_us, incoming, now_ns)
-            elif isinstance(frame, HelloFrame):
-                incoming.on_hello(frame, sent_us)
-            elif frame.epoch == self._epoch:
-                self._outgoing.on_known(frame.topic_ids)
+            match frame:
+                case MessageFrame():
+                    self._events.extend(incoming.on_message(frame, sent_us, now_ns))
+                case SkipFrame():
+                    self._events.extend(incoming.on_skip(frame, now_ns))
+                case ReportFrame():
+                    self._on_report(frame, sent_us, incoming, now_ns)
+                case HelloFrame():
+                    incoming.on_hello(frame, sent_us)
+                case LedgerFrame(sent_half=True):
+                    self._ledgers.on_sent_half(frame, incoming)
+                case _ if frame.epoch != self._epoch:  # it speaks to our former self
+                    pass
+                case KnownFrame():
+                    self._outgoing.on_known(frame.topic_ids)
+                case ReceiptFrame():
+                    for topic_id, number, outcome in frame.receipts:
+                        self._outgoing.on_outcome(topic_id, number, outcome)
+                case LedgerFrame():
+                    self._ledgers.on_received_half(frame, self._outgoing)
 
     def _meet_peer(self, epoch: int, now_ns: int) -> Incoming:
         """The peer's first datagram, or the first after it has started anew."""
         again = self._incoming is not None
         if self._incoming is not None:
             self._retired_epochs.append(self._incoming.epoch)
-            self._outgoing.forget_confirmations()
+            self._outgoing.on_peer_restarted()
+            self._ledgers.on_peer_restarted()
             self._path.on_peer_restarted()
             self._estimator.on_peer_restarted(now_ns)
         self._incoming = Incoming(epoch, self._settings.limits, self._settings.accept, self.received_ledgers)

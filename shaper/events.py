@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,33 @@ class Delivered:
     capture_unix_ns: int | None
     one_way_delay_ns: int | None
     age_ns: int | None
+
+
+class ReceiptStage(StrEnum):
+    """How far a reliable message has come."""
+
+    QUEUED = "queued"
+    SENT = "sent"
+    DELIVERED = "delivered"
+    EXPIRED = "expired"  # its time to live ended, here or on arrival: it was not delivered
+    SHED = "shed"  # it gave way in a full queue
+
+
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """News of a reliable message. tag: what the driver gave with the offer."""
+
+    key: str
+    tag: int
+    stage: ReceiptStage
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """There is room for the newest item of a pull topic, of at most budget_bytes: ask for it."""
+
+    key: str
+    budget_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,4 +78,4 @@ class LinkState:
     holding: bool
 
 
-Event = Delivered | PeerStarted | LinkState
+Event = Delivered | Receipt | Wanted | PeerStarted | LinkState

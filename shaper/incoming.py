@@ -3,30 +3,41 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from shaper.compression import unpack
 from shaper.datagram import (
-    MESSAGE_NUMBER_BITS,
+    ARRIVED_BITS,
     NUMBER_BITS,
     Header,
     HelloFrame,
     KnownFrame,
     MessageFrame,
+    Outcome,
+    ReceiptFrame,
     ReportFrame,
+    SkipFrame,
     TopicName,
 )
 from shaper.errors import DecodeError
 from shaper.events import Delivered
-from shaper.fragments import Reassembler
+from shaper.fragments import Reassembled, Reassembler
+from shaper.inbox import Arrived, Inbox, InTopic, PlainInbox, ReliableInbox, StateInbox
 from shaper.key_expression import is_key, matches
 from shaper.ledger import ReceivedLedger
-from shaper.path import PeerClock
-from shaper.serial_number import ReceivedWindow, expand, expand_above
+from shaper.path import Content, PeerClock
+from shaper.serial_number import ReceivedWindow, expand
 
 _MAX_EARLIER = 40  # arrivals named in one report beside the newest
+_MAX_RECEIPTS = 4096  # that wait to be told; a sender of ours has fewer messages outstanding
+_SILENCE_NS = 300_000_000  # without a datagram for so long, the next one is reported on at once
+_NS_PER_MS = 1_000_000
 _LATEST_UNIX_NS = 1 << 62  # the year 2116; leaves room to add ages without leaving 64 bits
 _OLD_IN_A_ROW = 3  # so many packets too old to tell and none else: the newest number was a forged one
+
+AnyInbox = TypeVar("AnyInbox", PlainInbox, ReliableInbox, StateInbox)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,40 +50,18 @@ class Limits:
     max_reassembly_wait_ns: int = 60_000_000_000
 
 
-class _InTopic:
-    """One of the peer's topic ids: its name, and which of its message numbers have come."""
+@dataclass(frozen=True, slots=True)
+class _SentReceipts:
+    """Receipts on their way to the sender of the messages."""
 
-    __slots__ = ("accepted", "highest", "ledger", "name", "window")
+    incoming: Incoming
+    receipts: tuple[tuple[int, int, Outcome], ...]
 
-    def __init__(self, name: TopicName, ledger: ReceivedLedger, accepted: bool) -> None:
-        self.name = name
-        self.ledger = ledger
-        self.accepted = accepted
-        self.highest = -1
-        self.window = ReceivedWindow(span=256)
+    def on_arrived(self) -> None:
+        """The sender knows."""
 
-    def arrived(self, number_low_bits: int, latest: bool) -> int | None:
-        """Count a complete message; its full number, or None if it must not be delivered."""
-        if self.highest < 0:  # what came before the first that we hear of is not ours to count
-            number = number_low_bits
-            self.window.accept(number)
-            self.highest = number
-            return number
-        # A heartbeat wraps its 16 bits in two hours, and a blackout may last as long. Replays end at
-        # the packet numbers, so what is older than the window here is a number come round again.
-        number = expand_above(number_low_bits, MESSAGE_NUMBER_BITS, self.highest - self.window.span)
-        overtaken = number < self.highest
-        if not self.window.accept(number):
-            return None
-        if overtaken:
-            self.ledger.lost = max(0, self.ledger.lost - 1)  # it was late, not lost
-            if latest:
-                self.ledger.stale += 1
-                return None
-            return number
-        self.ledger.lost += number - self.highest - 1
-        self.highest = number
-        return number
+    def on_lost(self) -> None:
+        self.incoming.repeat_receipts(self.receipts)
 
 
 class Incoming:
@@ -85,6 +74,8 @@ class Incoming:
         self.clock = PeerClock()
         self.received = 0
         self.unreported_since_ns: int | None = None
+        self.after_silence = False  # the peer may be waiting to hear that the link is back
+        self._heard_ns = -(1 << 62)
         self.refused = 0
         self.unknown_topics = 0
         self._limits = limits
@@ -92,7 +83,9 @@ class Incoming:
         self._ledgers = ledgers
         self._window = ReceivedWindow()
         self._old_in_a_row = 0
-        self._topics: dict[int, _InTopic] = {}
+        self._topics: dict[int, InTopic] = {}
+        self._inboxes: dict[tuple[str, type[Inbox]], Inbox] = {}
+        self._receipts: deque[tuple[int, int, Outcome]] = deque(maxlen=_MAX_RECEIPTS)
         self._to_confirm: dict[int, None] = {}
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_MAX_EARLIER + 1)
         self._largest_arrival = (-1, 0)
@@ -129,6 +122,8 @@ class Incoming:
             self._largest_arrival = (number, now_ns)
         if header.elicits_report and self.unreported_since_ns is None:
             self.unreported_since_ns = now_ns
+            self.after_silence = now_ns - self._heard_ns > _SILENCE_NS
+        self._heard_ns = now_ns
         return self.clock.expand_stamp(header.stamp_us, now_ns)
 
     def on_hello(self, frame: HelloFrame, sent_us: int) -> None:
@@ -137,42 +132,107 @@ class Incoming:
             raise DecodeError(f"a wall clock of {frame.unix_ns} ns is outside 0..{_LATEST_UNIX_NS}")
         self._unix_minus_stamp_ns = frame.unix_ns - sent_us * 1000
 
-    def on_message(self, frame: MessageFrame, sent_us: int, now_ns: int) -> Delivered | None:
-        """Take a message or a part; the message if that completes it and it is still wanted."""
+    def on_message(self, frame: MessageFrame, sent_us: int, now_ns: int) -> list[Delivered]:
+        """Take a message, a part or a share; the messages that can be delivered now."""
         topic = self._topic_of(frame)
         if topic is None:
-            return None
-        data, first_sent_ns = frame.data, sent_us * 1000
+            return []
+        data, first_sent_us = frame.data, sent_us
         if not frame.is_whole:
-            whole = self._reassembler.add(
-                (frame.topic_id, frame.number), frame.offset, frame.total_bytes, data, first_sent_ns, now_ns
-            )
+            whole = self._reassemble(frame, sent_us, now_ns)
             if whole is None:
-                return None
-            data, first_sent_ns = whole.data, whole.first_sent_ns
-        number = topic.arrived(frame.number, frame.latest)
-        if number is None:
-            return None
+                return []
+            data, first_sent_us = whole.data, whole.first_sent_us
         payload = unpack(data, self._limits.max_message_bytes) if frame.compressed else data
-        topic.ledger.delivered += 1
-        topic.ledger.received_bytes += len(data)
-        return self._delivered(topic.name, payload, number, sent_us - frame.age_us, first_sent_ns, now_ns)
+        message = Arrived(
+            frame.topic_id, frame.number, payload, len(data), sent_us - frame.age_us, first_sent_us
+        )
+        if frame.reliable and frame.latest:
+            return self._on_state(topic, message, now_ns)
+        if frame.reliable:
+            inbox = self._inbox(topic, ReliableInbox)
+            ready, missed = inbox.arrived(message, frame.back)
+            return self._deliver_reliable(frame.topic_id, ready, missed, now_ns)
+        number = self._inbox(topic, PlainInbox).arrived(frame.number, frame.latest)
+        if number is None:
+            return []
+        delivered = self._deliver(message, number, now_ns)
+        return [] if delivered is None else [delivered]
 
-    def _delivered(
-        self, name: TopicName, payload: bytes, number: int, capture_us: int, first_sent_ns: int, now_ns: int
-    ) -> Delivered:
+    def on_skip(self, frame: SkipFrame, now_ns: int) -> list[Delivered]:
+        """Reliable messages will not come; those that waited for them can be delivered."""
+        topic = self._topics.get(frame.topic_id)
+        if topic is None or not topic.accepted:
+            return []
+        ready, missed = self._inbox(topic, ReliableInbox).skip(frame.number)
+        return self._deliver_reliable(frame.topic_id, ready, missed, now_ns)
+
+    def _reassemble(self, frame: MessageFrame, sent_us: int, now_ns: int) -> Reassembled | None:
+        key, size = (frame.topic_id, frame.number), frame.total_bytes
+        if frame.shares_needed:
+            return self._reassembler.add_share(
+                key, frame.offset, frame.shares_needed, size, frame.data, sent_us, now_ns
+            )
+        return self._reassembler.add(key, frame.offset, size, frame.data, sent_us, now_ns)
+
+    def _on_state(self, topic: InTopic, message: Arrived, now_ns: int) -> list[Delivered]:
+        state = self._inbox(topic, StateInbox).arrived(message)
+        self._receipts.append((message.topic_id, message.number, Outcome.DELIVERED))
+        if state is None:
+            return []
+        delivered = self._deliver(replace(message, payload=state), message.number, now_ns)
+        return [] if delivered is None else [delivered]
+
+    def _deliver_reliable(
+        self, topic_id: int, messages: list[Arrived], missed: list[int], now_ns: int
+    ) -> list[Delivered]:
+        delivered = []
+        self._receipts.extend((topic_id, number, Outcome.EXPIRED) for number in missed)
+        for message in messages:
+            each = self._deliver(message, message.number, now_ns)
+            outcome = Outcome.EXPIRED if each is None else Outcome.DELIVERED
+            self._receipts.append((message.topic_id, message.number, outcome))
+            if each is not None:
+                delivered.append(each)
+        return delivered
+
+    def _deliver(self, message: Arrived, number: int, now_ns: int) -> Delivered | None:
+        """The message for the bus; None if it is older than its time to live."""
+        topic = self._topics[message.topic_id]
+        age_ns = self.clock.delay_ns(message.capture_us, now_ns)
+        ttl_ns = topic.name.ttl_ms * _NS_PER_MS
+        if ttl_ns and age_ns is not None and age_ns > ttl_ns:
+            topic.ledger.expired += 1
+            return None
+        topic.ledger.on_delivered(message.packed_bytes, age_ns)
         unix = self._unix_minus_stamp_ns
         return Delivered(
-            key=name.key,
-            payload=payload,
-            encoding=name.encoding,
+            key=topic.name.key,
+            payload=message.payload,
+            encoding=topic.name.encoding,
             number=number,
-            capture_unix_ns=None if unix is None else capture_us * 1000 + unix,
-            one_way_delay_ns=self.clock.delay_ns(first_sent_ns // 1000, now_ns),
-            age_ns=self.clock.delay_ns(capture_us, now_ns),
+            capture_unix_ns=None if unix is None else message.capture_us * 1000 + unix,
+            one_way_delay_ns=self.clock.delay_ns(message.first_sent_us, now_ns),
+            age_ns=age_ns,
         )
 
-    def _topic_of(self, frame: MessageFrame) -> _InTopic | None:
+    def _inbox(self, topic: InTopic, kind: type[AnyInbox]) -> AnyInbox:
+        """The inbox of a key: message numbers count per key, whatever the encoding."""
+        place = (topic.name.key, kind)
+        inbox = self._inboxes.get(place)
+        if inbox is None:
+            inbox = self._inboxes[place] = self._new_inbox(topic, kind)
+        assert isinstance(inbox, kind)
+        return inbox
+
+    def _new_inbox(self, topic: InTopic, kind: type[Inbox]) -> Inbox:
+        if kind is PlainInbox:
+            return PlainInbox(topic.ledger)
+        if kind is ReliableInbox:
+            return ReliableInbox(self._limits.max_reassembly_bytes)
+        return StateInbox(self._limits.max_message_bytes)
+
+    def _topic_of(self, frame: MessageFrame) -> InTopic | None:
         topic = self._topics.get(frame.topic_id)
         if frame.name is not None:
             if topic is None and len(self._topics) < self._limits.max_topics:
@@ -191,12 +251,12 @@ class Incoming:
             return None
         return topic
 
-    def _open(self, topic_id: int, name: TopicName) -> _InTopic:
+    def _open(self, topic_id: int, name: TopicName) -> InTopic:
         accepted = is_key(name.key) and any(matches(e, name.key) for e in self._accept)
         ledger = self._ledgers.get(name.key, ReceivedLedger())
         if accepted and len(self._ledgers) < self._limits.max_topics:  # lives of the peer have no limit
             self._ledgers[name.key] = ledger
-        topic = self._topics[topic_id] = _InTopic(name, ledger, accepted)
+        topic = self._topics[topic_id] = InTopic(name, ledger, accepted)
         return topic
 
     def take_report(self) -> ReportFrame:
@@ -212,7 +272,8 @@ class Incoming:
             number, number_ns = n, min(at_ns, number_ns)
         self._arrivals.clear()
         self.unreported_since_ns = None
-        return ReportFrame(self.epoch, largest, arrival_ns // 1000, self.received, tuple(earlier))
+        arrived = self._window.below(largest, ARRIVED_BITS)
+        return ReportFrame(self.epoch, largest, arrival_ns // 1000, self.received, tuple(earlier), arrived)
 
     @property
     def has_unreported(self) -> bool:
@@ -228,3 +289,26 @@ class Incoming:
     @property
     def has_to_confirm(self) -> bool:
         return bool(self._to_confirm)
+
+    def take_receipts(self, max_receipts: int) -> tuple[ReceiptFrame, Content]:
+        """What became of reliable messages, to be told to their sender."""
+        count = min(max_receipts, len(self._receipts))
+        receipts = tuple(self._receipts.popleft() for _ in range(count))
+        return ReceiptFrame(self.epoch, receipts), _SentReceipts(self, receipts)
+
+    def repeat_receipts(self, receipts: tuple[tuple[int, int, Outcome], ...]) -> None:
+        """Receipts were lost on the way."""
+        self._receipts.extend(receipts)
+
+    @property
+    def has_receipts(self) -> bool:
+        return bool(self._receipts)
+
+    def received_rows(self) -> Iterator[tuple[int, ReceivedLedger]]:
+        """Counters by the peer's topic ids."""
+        return ((i, topic.ledger) for i, topic in self._topics.items() if topic.accepted)
+
+    def key_of(self, topic_id: int) -> str | None:
+        """The key that an id of the peer's stands for, if we take it."""
+        topic = self._topics.get(topic_id)
+        return topic.name.key if topic is not None and topic.accepted else None

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from bisect import bisect_left
+from dataclasses import asdict, dataclass, field
+
+AGE_BOUNDS_MS = (20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 30_000)
+"""Upper bounds of the age histogram's buckets; one more bucket holds what is older."""
 
 
 @dataclass(slots=True)
 class SentLedger:
     """Counters of one topic where it enters the link.
 
-    Every offered message ends in exactly one of decimated, superseded, expired, overflow or sent, or
-    waits: offered == decimated + superseded + expired + overflow + sent + queued.
-    sent_bytes: payload bytes that left, as packed, parts of messages given up on the way included.
+    Every offered message ends in exactly one of decimated, superseded, expired, overflow (shed by a
+    full queue) or sent, or waits: offered == decimated + superseded + expired + overflow + sent + queued.
+    A reliable message counts as sent when the receiver has said that it delivered it, others when their
+    last byte has left. sent_bytes: message bytes that left, as packed, of messages given up on the way
+    too, without repetitions and parity; repeated_bytes: both of these.
     """
 
     offered: int = 0
@@ -21,6 +27,7 @@ class SentLedger:
     overflow: int = 0
     sent: int = 0
     sent_bytes: int = 0
+    repeated_bytes: int = 0
 
     @property
     def queued(self) -> int:
@@ -30,6 +37,19 @@ class SentLedger:
     def as_dict(self) -> dict[str, int]:
         return asdict(self)
 
+    def counters(self) -> tuple[int, ...]:
+        """All of them, as they cross the link."""
+        return (
+            self.offered,
+            self.decimated,
+            self.superseded,
+            self.expired,
+            self.overflow,
+            self.sent,
+            self.sent_bytes,
+            self.repeated_bytes,
+        )
+
 
 @dataclass(slots=True)
 class ReceivedLedger:
@@ -37,12 +57,27 @@ class ReceivedLedger:
 
     lost: message numbers that were passed over by later ones and have not come.
     stale: samples of a `latest` topic that a newer one had overtaken on the way.
+    expired: messages that came whole, but after their time to live: not delivered.
+    ages: histogram of the ages at delivery, by AGE_BOUNDS_MS.
     """
 
     delivered: int = 0
     lost: int = 0
     stale: int = 0
+    expired: int = 0
     received_bytes: int = 0
+    ages: list[int] = field(default_factory=lambda: [0] * (len(AGE_BOUNDS_MS) + 1))
 
-    def as_dict(self) -> dict[str, int]:
+    def on_delivered(self, received_bytes: int, age_ns: int | None) -> None:
+        """A message goes to the bus. age_ns: None while the clocks are not told apart."""
+        self.delivered += 1
+        self.received_bytes += received_bytes
+        if age_ns is not None:
+            self.ages[bisect_left(AGE_BOUNDS_MS, age_ns // 1_000_000)] += 1
+
+    def as_dict(self) -> dict[str, object]:
         return asdict(self)
+
+    def counters(self) -> tuple[int, ...]:
+        """Those that cross the link."""
+        return (self.delivered, self.lost, self.stale, self.expired, self.received_bytes)

@@ -2,24 +2,71 @@
 
 from __future__ import annotations
 
-from shaper.compression import pack
-from shaper.datagram import HEADER_BYTES, MessageFrame, TopicName, append_message, message_overhead_bytes
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from shaper.datagram import (
+    HEADER_BYTES,
+    MAX_SHARES,
+    SHARE_OVERHEAD_BYTES,
+    MessageFrame,
+    Outcome,
+    SkipFrame,
+    TopicName,
+    append_message,
+    append_skip,
+    message_overhead_bytes,
+)
+from shaper.demand import Demand, PullQueue
+from shaper.events import Receipt
 from shaper.key_expression import is_key
 from shaper.ledger import SentLedger
-from shaper.queues import Departure, Payload, TopicQueue
+from shaper.parity import encode_shares, repair_shares
+from shaper.path import Content
+from shaper.queues import Departure, Payload, Piece, TopicQueue
+from shaper.reliable import ReliableQueue, SentSkip
 from shaper.scheduler import Scheduler
+from shaper.shared_state import ChangesQueue
 from shaper.traffic_class import Keep, TopicRule, first_match
 
 MAX_NAME_BYTES = 160  # key and encoding of a topic: they must fit the smallest datagram beside a part
 _MIN_PART_BYTES = 48  # a smaller part of a message costs more in headers than it fills of a datagram
+_SKIP_BYTES = 8
+_NS_PER_MS = 1_000_000
 _NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Opportunity:
+    """A datagram that may leave now.
+
+    limit_bytes: what it should hold at the link's rate; max_bytes: what it may hold at all.
+    """
+
+    limit_bytes: int
+    max_bytes: int
+    rate_bps: int
+    loss_ratio: float
+    now_ns: int
+    only_always_send: bool = False
+    only_emergency: bool = False
 
 
 class Outgoing:
     """Everything that waits to cross, and the names under which the peer knows it."""
 
-    def __init__(self, rules: tuple[TopicRule, ...], max_topics: int, max_message_bytes: int) -> None:
-        self.scheduler = Scheduler()
+    def __init__(
+        self,
+        rules: tuple[TopicRule, ...],
+        max_topics: int,
+        max_message_bytes: int,
+        guaranteed: Mapping[int, float] | None = None,
+    ) -> None:
+        self.scheduler = Scheduler(guaranteed)
+        self.demand = Demand()
+        self.receipts: deque[Receipt] = deque()
+        self.wanted: deque[PullQueue] = deque()  # topics whose newest item is to be asked for
         self.unmatched = 0  # messages that no rule sends
         self.refused = 0  # messages beyond max_topics or max_message_bytes
         self._rules = rules
@@ -27,9 +74,16 @@ class Outgoing:
         self._max_message_bytes = max_message_bytes
         self._queues: dict[str, TopicQueue | None] = {}
         self._ids: dict[TopicName, int] = {}
+        self._queue_of_id: list[TopicQueue] = []
         self._confirmed: set[int] = set()
+        self._has_pull_topics = any(rule.pull for rule in rules)
+        for rule in rules:
+            if rule.pull:
+                self._open(rule.key_expression)
 
-    def offer(self, key: str, payload: Payload, encoding: str, capture_ns: int, now_ns: int) -> bool:
+    def offer(
+        self, key: str, payload: Payload, encoding: str, capture_ns: int, now_ns: int, tag: int = 0
+    ) -> bool:
         """Queue a message, or drop it and say so in the ledger; whether one more waits than before."""
         try:
             queue = self._queues[key]
@@ -43,54 +97,116 @@ class Outgoing:
             queue.ledger.offered += 1
             queue.ledger.overflow += 1
             return False
-        if not queue.offer(payload, encoding, capture_ns, now_ns):
+        if not queue.offer(payload, encoding, capture_ns, now_ns, tag):
             return False
         self.scheduler.activate(queue)
         return True
 
+    def missed(self, key: str, count: int) -> None:
+        """Count messages of a topic that newer ones replaced on the way here."""
+        queue = self._queues.get(key)
+        if queue is not None:
+            queue.ledger.offered += count
+            queue.ledger.superseded += count
+
+    def queues(self) -> Iterator[TopicQueue]:
+        """The topics that this side sends, in the order in which they appeared."""
+        return (queue for queue in self._queues.values() if queue is not None)
+
     def ledgers(self) -> dict[str, SentLedger]:
         """Counters by key, in the order in which the topics appeared."""
-        return {key: queue.ledger for key, queue in self._queues.items() if queue is not None}
+        return {queue.key: queue.ledger for queue in self.queues()}
 
-    def forget_confirmations(self) -> None:
-        """The peer has restarted: it knows no names any more."""
+    def identified(self) -> Iterator[tuple[int, TopicQueue]]:
+        """Topics that the peer can tell by a short number."""
+        return ((topic_id, self._queue_of_id[topic_id]) for topic_id in sorted(self._confirmed))
+
+    @property
+    def awaits_outcomes(self) -> bool:
+        """Whether anything has left of which the peer must still say what became of it."""
+        return any(
+            isinstance(queue, ReliableQueue | ChangesQueue) and queue.awaits_outcome
+            for queue in self.queues()
+        )
+
+    def wants_at_ns(self) -> int | None:
+        """When the next item of a pull topic falls due."""
+        if not self._has_pull_topics:
+            return None
+        due = [queue.next_ask_ns() for queue in self.queues() if isinstance(queue, PullQueue)]
+        return min((at_ns for at_ns in due if at_ns is not None), default=None)
+
+    def want_what_is_due(self, now_ns: int) -> None:
+        """Put pull topics whose period has passed in line."""
+        for queue in self.queues():
+            if isinstance(queue, PullQueue) and queue.ask_if_due(now_ns):
+                self.scheduler.activate(queue)
+
+    # What the peer says.
+
+    def on_peer_restarted(self) -> None:
+        """It knows no names any more, and has forgotten what it had received."""
         self._confirmed.clear()
+        for queue in self.queues():
+            queue.on_peer_restarted()
 
     def on_known(self, topic_ids: tuple[int, ...]) -> None:
         """The peer can tell these topics by their ids alone."""
         self._confirmed.update(i for i in topic_ids if i < len(self._ids))
 
-    def fill(
-        self,
-        out: bytearray,
-        limit_bytes: int,
-        rate_bps: int,
-        now_ns: int,
-        *,
-        only_always_send: bool,
-        only_emergency: bool,
-    ) -> bool:
-        """Append messages to a datagram while they fit; whether anything was appended."""
+    def on_outcome(self, topic_id: int, number_low_bits: int, outcome: Outcome) -> None:
+        """The peer says what became of a message."""
+        if topic_id < len(self._queue_of_id):
+            queue = self._queue_of_id[topic_id]
+            if isinstance(queue, ReliableQueue | ChangesQueue):
+                queue.on_outcome(number_low_bits, outcome)
+
+    def queue_of(self, topic_id: int) -> TopicQueue | None:
+        """The topic that an id of ours stands for."""
+        return self._queue_of_id[topic_id] if topic_id < len(self._queue_of_id) else None
+
+    # Filling datagrams.
+
+    def fill(self, out: bytearray, opportunity: Opportunity) -> tuple[bool, tuple[Content, ...]]:
+        """Append messages while they fit; whether anything was, and what wants to know of its fate."""
         start = len(out)
+        contents: list[Content] = []
         while True:
             queue = self.scheduler.next_queue(
-                only_always_send=only_always_send, only_emergency=only_emergency
+                only_always_send=opportunity.only_always_send, only_emergency=opportunity.only_emergency
             )
             if queue is None:
                 break
-            departure = queue.departing or self._depart(queue, now_ns)
-            if departure is None:
+            if isinstance(queue, ReliableQueue) and queue.skip_due:
+                if len(out) + _SKIP_BYTES > opportunity.limit_bytes:
+                    break
+                contents += self._append_skip(out, queue)
                 continue
-            if self._too_late(queue, departure, rate_bps, now_ns):
-                queue.expire_departing()
+            if isinstance(queue, PullQueue) and queue.wanted:
+                queue.ask(opportunity.now_ns)
+                self.wanted.append(queue)
+                continue
+            piece = queue.next_piece(opportunity.now_ns)
+            if piece is None:
+                continue
+            if not piece.again and self._too_late(queue, piece, opportunity):
+                queue.too_late(piece)
                 self.scheduler.message_done(queue)
                 continue
-            first = len(out) == start
-            if not self._append_part(out, limit_bytes, queue, departure, now_ns, first=first):
+            self._protect(queue, piece, opportunity)
+            before = len(out)
+            count = self._append_piece(out, queue, piece, opportunity, first=before == start)
+            if count is None:
                 break
-            if queue.departing is None:
+            content = queue.sent(piece, count)
+            if content is not None:
+                contents.append(content)
+            frame_bytes = len(out) - before
+            self.scheduler.on_sent(queue, frame_bytes)
+            self.demand.on_sent(queue.rule.traffic_class.tier, frame_bytes, opportunity.now_ns)
+            if not queue.message_under_way:
                 self.scheduler.message_done(queue)
-        return len(out) > start
+        return len(out) > start, tuple(contents)
 
     def _open(self, key: str) -> TopicQueue | None:
         rule = first_match(self._rules, key) if is_key(key) else None
@@ -98,72 +214,124 @@ class Outgoing:
             self.refused += 1
             return None
         self.unmatched += rule is None
-        queue = None if rule is None else TopicQueue(key, rule)
+        queue = None if rule is None else self._make_queue(key, rule)
         if len(self._queues) < self._max_topics:
             self._queues[key] = queue
         return queue
 
-    def _depart(self, queue: TopicQueue, now_ns: int) -> Departure | None:
-        message = queue.take(now_ns)
-        if message is None:
-            return None
-        data, compressed = pack(bytes(message.payload), queue.rule.compression)
-        queue.departing = Departure(data, message.encoding, message.capture_ns, queue.next_number, compressed)
-        return queue.departing
+    def _make_queue(self, key: str, rule: TopicRule) -> TopicQueue:
+        wake = self.scheduler.activate
+        if rule.pull:
+            return PullQueue(key, rule, wake)
+        if rule.traffic_class.keep is Keep.CHANGES:
+            return ChangesQueue(key, rule, wake)
+        if rule.traffic_class.reliable:
+            return ReliableQueue(key, rule, wake, self.receipts.append)
+        return TopicQueue(key, rule, wake)
 
-    def _too_late(self, queue: TopicQueue, departure: Departure, rate_bps: int, now_ns: int) -> bool:
+    def _too_late(self, queue: TopicQueue, piece: Piece, opportunity: Opportunity) -> bool:
         """Whether the rest could not leave before the deadline even if it had the link for itself."""
-        ttl_ns = queue.rule.traffic_class.ttl_ns
-        airtime_ns = departure.remaining_bytes * 8 * _NS_PER_S // rate_bps
-        return now_ns + airtime_ns > departure.capture_ns + ttl_ns
+        if queue.rule.traffic_class.keep is Keep.CHANGES:  # a state is true until it changes
+            return False
+        departure = piece.departure
+        airtime_ns = departure.remaining_bytes * 8 * _NS_PER_S // opportunity.rate_bps
+        return opportunity.now_ns + airtime_ns > departure.capture_ns + queue.rule.traffic_class.ttl_ns
 
-    def _append_part(
-        self,
-        out: bytearray,
-        limit_bytes: int,
-        queue: TopicQueue,
-        departure: Departure,
-        now_ns: int,
-        *,
-        first: bool,
-    ) -> bool:
-        """Append the message, or as much of it as fits; False if it had better wait for a datagram."""
-        age_us = max(0, now_ns - departure.capture_ns) // 1000
-        topic_id, name = self._identify(TopicName(queue.key, departure.encoding))
-        offset, total = departure.offset, len(departure.data)
-        overhead = message_overhead_bytes(topic_id, age_us, name, offset, total)
-        room = limit_bytes - len(out) - overhead
-        count = departure.remaining_bytes
+    def _protect(self, queue: TopicQueue, piece: Piece, opportunity: Opportunity) -> None:
+        """Put a message that will take several datagrams under parity, if the link loses packets."""
+        departure, traffic_class = piece.departure, queue.rule.traffic_class
+        if departure.begun or departure.shares or not traffic_class.max_parity_ratio:
+            return
+        if not opportunity.loss_ratio or isinstance(queue, ReliableQueue | ChangesQueue):
+            return
+        overhead = self._overhead_bytes(queue, departure, opportunity.now_ns) + SHARE_OVERHEAD_BYTES
+        needed = -(-len(departure.data) // (opportunity.limit_bytes - HEADER_BYTES - overhead))
+        if not 2 <= needed < MAX_SHARES:
+            return
+        repair = repair_shares(
+            needed, opportunity.loss_ratio, traffic_class.target_ratio, traffic_class.max_parity_ratio
+        )
+        if repair:
+            departure.shares = encode_shares(departure.data, needed, repair)
+            departure.shares_needed = needed
+
+    def _append_piece(
+        self, out: bytearray, queue: TopicQueue, piece: Piece, opportunity: Opportunity, *, first: bool
+    ) -> int | None:
+        """Append as much of a piece as fits; how much, or None if it had better wait for a datagram."""
+        departure = piece.departure
+        overhead = self._overhead_bytes(queue, departure, opportunity.now_ns)
+        if departure.shares:
+            share = departure.shares[departure.sent_shares]
+            # A share keeps its size when the link turns thin under it; then it leaves by itself.
+            limit = opportunity.max_bytes if first else opportunity.limit_bytes
+            if len(out) + overhead + SHARE_OVERHEAD_BYTES + len(share) > limit:
+                return None
+            self._append(out, queue, departure, departure.sent_shares, share, opportunity.now_ns)
+            return len(share)
+        room = opportunity.limit_bytes - len(out) - overhead
+        count = piece.count
         if count > room:
             # Splitting a message that would fit the next datagram whole only doubles its chance of loss.
-            fits_next = offset == 0 and count + overhead + HEADER_BYTES <= limit_bytes
+            fits_next = not departure.begun and count + overhead + HEADER_BYTES <= opportunity.limit_bytes
             if room < _MIN_PART_BYTES or (fits_next and not first):
-                return False
+                return None
             count = room
-        data = departure.data if count == total else departure.data[offset : offset + count]
-        latest = queue.rule.traffic_class.keep is Keep.LATEST
-        append_message(
-            out,
-            MessageFrame(
-                topic_id, departure.number, age_us, data, offset, total, name, latest, departure.compressed
-            ),
+        data = departure.data
+        if count < len(data):
+            data = data[piece.offset : piece.offset + count]
+        self._append(out, queue, departure, piece.offset, data, opportunity.now_ns)
+        return count
+
+    def _append(
+        self, out: bytearray, queue: TopicQueue, departure: Departure, offset: int, data: bytes, now_ns: int
+    ) -> None:
+        topic_id, name = self._identify(queue, departure.encoding)
+        traffic_class = queue.rule.traffic_class
+        changes = traffic_class.keep is Keep.CHANGES
+        frame = MessageFrame(
+            topic_id=topic_id,
+            number=departure.number,
+            age_us=_age_us(departure, now_ns),
+            data=data,
+            offset=offset,
+            total_bytes=len(departure.data),
+            name=name,
+            latest=changes or traffic_class.keep is Keep.LATEST,
+            compressed=departure.compressed,
+            reliable=changes or traffic_class.reliable,
+            back=departure.number - queue.first_outstanding() if isinstance(queue, ReliableQueue) else 0,
+            shares_needed=departure.shares_needed,
         )
-        self._advance(queue, departure, count)
-        return True
+        append_message(out, frame)
 
-    def _advance(self, queue: TopicQueue, departure: Departure, count: int) -> None:
-        if departure.offset == 0:
-            queue.next_number += 1
-        departure.offset += count
-        queue.ledger.sent_bytes += count
-        if departure.remaining_bytes == 0:
-            queue.ledger.sent += 1
-            queue.departing = None
+    def _append_skip(self, out: bytearray, queue: ReliableQueue) -> list[Content]:
+        queue.skip_due = False
+        topic_id = next((i for i in self._confirmed if self._queue_of_id[i] is queue), None)
+        if topic_id is None:  # the peer has never heard of the topic: it waits for nothing
+            return []
+        append_skip(out, SkipFrame(topic_id, queue.first_outstanding()))
+        return [SentSkip(queue)]
 
-    def _identify(self, name: TopicName) -> tuple[int, TopicName | None]:
+    def _overhead_bytes(self, queue: TopicQueue, departure: Departure, now_ns: int) -> int:
+        topic_id, name = self._identify(queue, departure.encoding)
+        age_us = _age_us(departure, now_ns)
+        return message_overhead_bytes(topic_id, age_us, name, departure.offset, len(departure.data))
+
+    def _identify(self, queue: TopicQueue, encoding: str) -> tuple[int, TopicName | None]:
         """The short number of a topic, and its name while the peer has not confirmed the number."""
-        topic_id = self._ids.setdefault(name, len(self._ids))
+        ttl_ns = queue.rule.traffic_class.ttl_ns
+        ttl_ms = 0 if queue.rule.traffic_class.keep is Keep.CHANGES else -(-ttl_ns // _NS_PER_MS)
+        name = TopicName(queue.key, encoding, ttl_ms)
+        topic_id = self._ids.get(name)
+        if topic_id is None:
+            topic_id = self._ids[name] = len(self._ids)
+            self._queue_of_id.append(queue)
         return topic_id, None if topic_id in self._confirmed else name
+
+
+def _age_us(departure: Departure, now_ns: int) -> int:
+    return max(0, now_ns - departure.capture_ns) // 1000
 
 
 def _name_bytes(key: str, encoding: str) -> int:

@@ -4,15 +4,30 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Protocol
 
-from shaper.datagram import NUMBER_BITS, STAMP_BITS, ReportFrame
+from shaper.datagram import ARRIVED_BITS, NUMBER_BITS, STAMP_BITS, ReportFrame
 from shaper.errors import DecodeError
 from shaper.serial_number import expand
 
 _MAX_PACKETS_IN_FLIGHT = 1 << 16  # what a heartbeat sends in hours of silence; older ones are forgotten
 _EARLIEST_NS = -1_000_000  # a shorter round trip is no rounding or drift but an impossible report
+_REORDER_PACKETS = 3  # later packets that may overtake one (RFC 9002, kPacketThreshold)
+_INITIAL_RTT_NS = 500_000_000  # until the first report
+_GRANULARITY_NS = 10_000_000
+_MAX_REPORT_DELAY_NS = 250_000_000  # how long the other side may take to report, at a thin link's rate
 _LOSS_WINDOW_PACKETS = 200  # loss is averaged over about this many packets
 _DRIFT_PPM = 200  # how fast two monotonic clocks may part; ageing of an offset sample (quartz: < 100)
+
+
+class Content(Protocol):
+    """Something in a datagram that is worth repeating, or knowing of, when the datagram's fate is known."""
+
+    def on_arrived(self) -> None:
+        """The peer has it."""
+
+    def on_lost(self) -> None:
+        """It is lost on the link."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,13 +37,15 @@ class SentPacket:
     number: int
     sent_ns: int
     wire_bytes: int
+    contents: tuple[Content, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ReportedPacket:
-    """A datagram of ours and what became of it.
+    """A datagram of ours that is in flight no more.
 
-    arrival_us: in the peer's clock, low 32 bits; None if it did not arrive before later ones did.
+    arrival_us: in the peer's clock, low 32 bits; None if this report does not tell when, or whether, it
+    came.
     """
 
     number: int
@@ -88,41 +105,55 @@ class PeerClock:
 class Path:
     """Packets in flight, round-trip time and loss of our sending direction.
 
-    In flight is what was sent after the newest packet that the peer has reported: on a link that
-    keeps the order, everything before it has arrived or is lost.
+    In flight is what was sent after the newest packet that the peer has reported: on a link that keeps
+    the order, everything before it has arrived or is lost. Which of the two is settled with patience for
+    packets that overtake: lost is what is missing in a report although three later packets have arrived,
+    or although it left more than 9/8 of a round trip ago (RFC 9002, section 6.1).
     """
 
     def __init__(self) -> None:
         self.next_number = 0
         self.bytes_in_flight = 0
         self.rtt_ns: int | None = None
+        self.smoothed_rtt_ns = _INITIAL_RTT_NS
+        self.rtt_variation_ns = _INITIAL_RTT_NS // 2
         self.loss_ratio = 0.0
+        self.lost_packets = 0
+        self.lost_bytes = 0
         self.reported = False  # whether the peer has ever reported on this epoch of ours
         self._in_flight: deque[SentPacket] = deque()
+        self._missing: dict[int, SentPacket] = {}  # in flight no more, but not known to have arrived
         self._largest = -1
-        self._last_received: int | None = None
+        self._counts_from = 0  # what left before the peer was there is lost, but says nothing of the link
 
-    def on_sent(self, wire_bytes: int, now_ns: int) -> SentPacket:
+    def on_sent(self, wire_bytes: int, now_ns: int, contents: tuple[Content, ...] = ()) -> SentPacket:
         """Number and remember a datagram that leaves now."""
-        packet = SentPacket(self.next_number, now_ns, wire_bytes)
+        packet = SentPacket(self.next_number, now_ns, wire_bytes, contents)
         self.next_number += 1
         self._in_flight.append(packet)
         self.bytes_in_flight += wire_bytes
         if len(self._in_flight) > _MAX_PACKETS_IN_FLIGHT:
-            self.bytes_in_flight -= self._in_flight.popleft().wire_bytes
+            forgotten = self._in_flight.popleft()
+            self.bytes_in_flight -= forgotten.wire_bytes
+            self._lose(forgotten)
         return packet
 
     def on_peer_restarted(self) -> None:
         """The peer counts anew; what was in flight to its former self is gone."""
         self._in_flight.clear()
+        self._missing.clear()
         self.bytes_in_flight = 0
         self.reported = False
-        self._last_received = None
+
+    def probe_timeout_ns(self) -> int:
+        """How long to wait for a report before asking for one (RFC 9002, section 6.2.1)."""
+        variation_ns = max(4 * self.rtt_variation_ns, _GRANULARITY_NS)
+        return self.smoothed_rtt_ns + variation_ns + _MAX_REPORT_DELAY_NS
 
     def on_report(
         self, report: ReportFrame, report_sent_us: int, clock: PeerClock, now_ns: int
     ) -> list[ReportedPacket]:
-        """The packets that this report settles, oldest first; none if it says nothing new.
+        """The packets that this report takes out of flight, oldest first; none if it says nothing new.
 
         Raises DecodeError for a report on packets that were never sent.
         """
@@ -137,31 +168,60 @@ class Path:
             number -= numbers_before
             arrival_us -= us_before
             arrivals[number] = arrival_us & 0xFFFF_FFFF
-        settled = self._settle(largest, arrivals)
-        if settled and settled[-1].number == largest:
+        settled, sent_largest_ns = self._settle(largest, arrivals)
+        if sent_largest_ns is not None:
             peer_received_us = expand(report.arrival_us, STAMP_BITS, report_sent_us)
-            rtt_ns = clock.on_exchange(settled[-1].sent_ns, peer_received_us, report_sent_us, now_ns)
-            self.rtt_ns = self.rtt_ns if rtt_ns is None else rtt_ns
-        self._update_loss(largest, report.received)
+            rtt_ns = clock.on_exchange(sent_largest_ns, peer_received_us, report_sent_us, now_ns)
+            if rtt_ns is not None:
+                self._update_rtt(rtt_ns)
         self._largest = largest
-        self.reported = True
+        if not self.reported:
+            self._counts_from = largest
+            self.reported = True
+        self._judge_missing(largest, arrivals, report.arrived, now_ns)
         return settled
 
-    def _settle(self, largest: int, arrivals: dict[int, int]) -> list[ReportedPacket]:
-        settled = []
+    def _settle(self, largest: int, arrivals: dict[int, int]) -> tuple[list[ReportedPacket], int | None]:
+        settled, sent_largest_ns = [], None
         while self._in_flight and self._in_flight[0].number <= largest:
             sent = self._in_flight.popleft()
             self.bytes_in_flight -= sent.wire_bytes
-            settled.append(
-                ReportedPacket(sent.number, sent.sent_ns, sent.wire_bytes, arrivals.get(sent.number))
-            )
-        return settled
+            self._missing[sent.number] = sent
+            arrival_us = arrivals.get(sent.number)
+            settled.append(ReportedPacket(sent.number, sent.sent_ns, sent.wire_bytes, arrival_us))
+            if sent.number == largest:
+                sent_largest_ns = sent.sent_ns
+        return settled, sent_largest_ns
 
-    def _update_loss(self, largest: int, received: int) -> None:
-        if self._last_received is not None:
-            passed = largest - self._largest
-            arrived = (received - self._last_received) & 0xFFFF_FFFF
-            if arrived <= passed:
-                weight = min(1.0, passed / _LOSS_WINDOW_PACKETS)
-                self.loss_ratio += weight * ((passed - arrived) / passed - self.loss_ratio)
-        self._last_received = received
+    def _judge_missing(self, largest: int, arrivals: dict[int, int], arrived: bytes, now_ns: int) -> None:
+        """Arrived, lost, or too early to say."""
+        bits = int.from_bytes(arrived, "little") if arrived else (1 << ARRIVED_BITS) - 1
+        patience_ns = max(self.smoothed_rtt_ns, self.rtt_ns or 0) * 9 // 8
+        for number, sent in list(self._missing.items()):
+            behind = largest - number
+            known = behind == 0 or number in arrivals or (behind <= ARRIVED_BITS and bits >> behind - 1 & 1)
+            if known:
+                del self._missing[number]
+                self.loss_ratio -= self.loss_ratio / _LOSS_WINDOW_PACKETS
+                for content in sent.contents:
+                    content.on_arrived()
+            elif behind >= _REORDER_PACKETS or sent.sent_ns < now_ns - patience_ns:
+                del self._missing[number]
+                if number >= self._counts_from:
+                    self.loss_ratio += (1.0 - self.loss_ratio) / _LOSS_WINDOW_PACKETS
+                self._lose(sent)
+
+    def _lose(self, sent: SentPacket) -> None:
+        self.lost_packets += 1
+        self.lost_bytes += sent.wire_bytes
+        for content in sent.contents:
+            content.on_lost()
+
+    def _update_rtt(self, rtt_ns: int) -> None:
+        """Smoothing of RFC 9002, section 5.3."""
+        if self.rtt_ns is None:
+            self.smoothed_rtt_ns, self.rtt_variation_ns = rtt_ns, rtt_ns // 2
+        else:
+            self.rtt_variation_ns += (abs(self.smoothed_rtt_ns - rtt_ns) - self.rtt_variation_ns) // 4
+            self.smoothed_rtt_ns += (rtt_ns - self.smoothed_rtt_ns) // 8
+        self.rtt_ns = rtt_ns

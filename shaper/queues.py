@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Protocol
 
+from shaper.compression import pack
 from shaper.ledger import SentLedger
+from shaper.path import Content
 from shaper.traffic_class import Keep, TopicRule
 
 
@@ -19,45 +22,88 @@ class Payload(Protocol):
 
 @dataclass(slots=True)
 class Waiting:
-    """A message as it was offered, neither copied nor encoded."""
+    """A message as it was offered, neither copied nor encoded. tag: the publisher's own number for it."""
 
     payload: Payload
     encoding: str
     capture_ns: int
+    tag: int = 0
 
 
 @dataclass(slots=True)
 class Departure:
-    """A message on its way out: packed, numbered, sent up to `offset`."""
+    """A message on its way out: packed, numbered, sent up to `offset`.
+
+    shares: the message under an erasure code, of which the first `sent_shares` have left; empty where
+    it leaves in plain parts.
+    """
 
     data: bytes
     encoding: str
     capture_ns: int
     number: int
     compressed: bool
+    tag: int = 0
     offset: int = 0
+    shares: list[bytes] = field(default_factory=list)
+    sent_shares: int = 0
+    shares_needed: int = 0
+
+    @property
+    def begun(self) -> bool:
+        return self.offset > 0 or self.sent_shares > 0
 
     @property
     def remaining_bytes(self) -> int:
+        if self.shares:
+            return sum(len(share) for share in self.shares[self.sent_shares :])
         return len(self.data) - self.offset
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """What a queue would send next: `count` bytes of a message from `offset`.
+
+    again: not for the first time.
+    """
+
+    departure: Departure
+    offset: int
+    count: int
+    again: bool = False
 
 
 class TopicQueue:
     """The messages of one key that wait for the link."""
 
-    __slots__ = ("_next_ns", "active", "departing", "key", "ledger", "next_number", "rule", "waiting")
+    __slots__ = (
+        "_next_ns",
+        "active",
+        "departing",
+        "key",
+        "ledger",
+        "next_number",
+        "rule",
+        "virtual_finish",
+        "waiting",
+        "wake",
+    )
 
-    def __init__(self, key: str, rule: TopicRule) -> None:
+    def __init__(
+        self, key: str, rule: TopicRule, wake: Callable[[TopicQueue], None] = lambda queue: None
+    ) -> None:
         self.key = key
         self.rule = rule
         self.ledger = SentLedger()
         self.waiting: deque[Waiting] = deque()
         self.departing: Departure | None = None
         self.active = False  # whether the scheduler has it in a tier
+        self.virtual_finish = 0  # the scheduler's: where this topic stands among its tier's
+        self.wake = wake  # puts the queue in line when it has got something to send by itself
         self.next_number = 0
         self._next_ns = -(1 << 62)  # decimation: when the next sample is due
 
-    def offer(self, payload: Payload, encoding: str, capture_ns: int, now_ns: int) -> bool:
+    def offer(self, payload: Payload, encoding: str, capture_ns: int, now_ns: int, tag: int = 0) -> bool:
         """Take or drop a message; True if one more waits than before.
 
         While a `latest` sample waits, a newer one replaces it whatever the decimation says: the slot
@@ -65,39 +111,104 @@ class TopicQueue:
         """
         ledger = self.ledger
         ledger.offered += 1
-        latest = self.rule.traffic_class.keep is Keep.LATEST
-        if latest and self.waiting:
+        if self.waiting and self.rule.traffic_class.keep is Keep.LATEST:
             ledger.superseded += 1
-            self.waiting[0] = Waiting(payload, encoding, capture_ns)
+            self.waiting[0] = Waiting(payload, encoding, capture_ns, tag)
             return False
+        if not self.due(now_ns):
+            ledger.decimated += 1
+            return False
+        self.waiting.append(Waiting(payload, encoding, capture_ns, tag))
+        if len(self.waiting) > self.rule.traffic_class.depth:
+            self.overflowed(self.waiting.popleft())
+        return True
+
+    def due(self, now_ns: int) -> bool:
+        """Whether decimation lets a sample through now; if so, that counts as the period's."""
         period_ns = self.rule.min_period_ns
         if period_ns:
             # Half a period early is in time: a source at just the asked rate, with jitter, loses none.
             if now_ns < self._next_ns - period_ns // 2:
-                ledger.decimated += 1
                 return False
             self._next_ns = max(self._next_ns, now_ns) + period_ns
-        self.waiting.append(Waiting(payload, encoding, capture_ns))
-        if len(self.waiting) > self.rule.traffic_class.depth:
-            self.waiting.popleft()
-            ledger.overflow += 1
         return True
 
-    def take(self, now_ns: int) -> Waiting | None:
-        """The next message that is still worth sending; the expired ones before it are dropped."""
+    def overflowed(self, message: Waiting) -> None:
+        """A message gives way because the queue is full."""
+        self.ledger.overflow += 1
+
+    def next_piece(self, now_ns: int) -> Piece | None:
+        """What to send next; the expired messages before it are dropped."""
+        departure = self.departing
+        if departure is not None and not departure.begun and self._is_superseded():
+            self.ledger.superseded += 1
+            self.departing = departure = None
+        departure = departure or self.depart(now_ns)
+        if departure is None:
+            return None
+        return Piece(departure, departure.offset, len(departure.data) - departure.offset)
+
+    def _is_superseded(self) -> bool:
+        """Whether a newer sample waits while what departs is still all here."""
+        return bool(self.waiting) and self.rule.traffic_class.keep is Keep.LATEST
+
+    def depart(self, now_ns: int) -> Departure | None:
+        """Take the next message that is still worth sending, pack and number it."""
         ttl_ns = self.rule.traffic_class.ttl_ns
         while self.waiting:
             message = self.waiting.popleft()
-            if now_ns - message.capture_ns <= ttl_ns:
-                return message
-            self.ledger.expired += 1
+            if now_ns - message.capture_ns > ttl_ns:
+                self.expired(message.tag)
+                continue
+            data, compressed = pack(bytes(message.payload), self.rule.compression)
+            self.departing = Departure(
+                data, message.encoding, message.capture_ns, self.next_number, compressed, message.tag
+            )
+            return self.departing
         return None
 
-    def expire_departing(self) -> None:
-        """Give up the message on its way out."""
-        self.departing = None
+    def expired(self, tag: int) -> None:
+        """A message's time to live has ended on this side."""
         self.ledger.expired += 1
+
+    def too_late(self, piece: Piece) -> None:
+        """What departs cannot make its deadline: give it up."""
+        self.departing = None
+        self.expired(piece.departure.tag)
+
+    def sent(self, piece: Piece, count: int) -> Content | None:
+        """`count` bytes of the piece have left in a datagram; what wants to know of its fate."""
+        departure = piece.departure
+        if not departure.begun:
+            self.next_number += 1
+        if departure.shares:
+            departure.sent_shares += 1
+        else:
+            departure.offset += count
+        if departure.sent_shares > departure.shares_needed:
+            self.ledger.repeated_bytes += count
+        else:
+            self.ledger.sent_bytes += count
+        if departure.remaining_bytes == 0:
+            self.departed()
+        return None
+
+    def departed(self) -> None:
+        """The last byte of a message has left."""
+        self.ledger.sent += 1
+        self.departing = None
+
+    def on_peer_restarted(self) -> None:
+        """The peer has forgotten everything; a message on its way is begun anew."""
+        if self.departing is not None and self.departing.begun:
+            self.departing.offset = self.departing.sent_shares = 0
 
     @property
     def empty(self) -> bool:
+        """Whether there is nothing to send now."""
         return not self.waiting and self.departing is None
+
+    @property
+    def message_under_way(self) -> bool:
+        """Whether a message has been begun that must not wait for its tier's other topics."""
+        return self.departing is not None and self.departing.begun

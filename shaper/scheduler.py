@@ -1,61 +1,133 @@
-"""Who is next: strict priority between tiers, turn by turn inside one."""
+"""Who is next: strict priority between tiers with guaranteed shares, fairness in bytes inside one."""
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Mapping
+from heapq import heappop, heappush
 
 from shaper.queues import TopicQueue
 
 EMERGENCY_TIER = 0
+_PER_MILLION = 1_000_000
+_VIRTUAL_PER_BYTE = 1_000_000  # at weight 1; so fine that no weight rounds a small message to nothing
+
+
+class _Tier:
+    """The topics of one tier, by start-time fair queueing (Goyal, Vin, Cheng: SIGCOMM 1996).
+
+    Each topic's messages carry virtual start and finish times that advance by bytes / weight; the
+    smallest start is next. A topic that was idle starts at the tier's present, so nothing is hoarded,
+    and one that has just had a large message waits until the others have had as much.
+    """
+
+    __slots__ = ("current", "heap", "owed", "share", "virtual_now")
+
+    def __init__(self, share: int) -> None:
+        self.share = share  # guaranteed, in millionths
+        self.owed = 0  # bytes x million that the guarantee is behind
+        self.heap: list[tuple[int, int, TopicQueue]] = []
+        self.current: TopicQueue | None = None  # whose message is under way
+        self.virtual_now = 0
 
 
 class Scheduler:
-    """Queues that have something to send, by tier.
+    """Queues that have something to send.
 
-    Inside a tier each topic sends one message and goes to the end of the line; a message in several
-    datagrams keeps its place until its last part has left, and only a higher tier comes between.
+    A message under way keeps its tier's turn until its last part has left; only another tier comes
+    between: a higher one, or one whose guaranteed share is behind.
+    guaranteed: share (0..1) of all bytes that a tier gets as long as it has something to send.
     """
 
-    def __init__(self) -> None:
-        self._tiers: dict[int, deque[TopicQueue]] = {}
+    def __init__(self, guaranteed: Mapping[int, float] | None = None) -> None:
+        self._guaranteed = {t: round(s * _PER_MILLION) for t, s in (guaranteed or {}).items()}
+        self._tiers: dict[int, _Tier] = {}
         self._order: list[int] = []
+        self._arrivals = 0  # order of arrival, for equal virtual times
 
     def activate(self, queue: TopicQueue) -> None:
-        """Put a queue that has just got something to send in line."""
+        """Put a queue that has got something to send in line."""
         if queue.active:
             return
         queue.active = True
-        tier = queue.rule.traffic_class.tier
-        line = self._tiers.get(tier)
-        if line is None:
-            line = self._tiers[tier] = deque()
+        number = queue.rule.traffic_class.tier
+        tier = self._tiers.get(number)
+        if tier is None:
+            tier = self._tiers[number] = _Tier(self._guaranteed.get(number, 0))
             self._order = sorted(self._tiers)
-        line.append(queue)
+        self._line_up(tier, queue)
 
     def next_queue(
         self, *, only_always_send: bool = False, only_emergency: bool = False
     ) -> TopicQueue | None:
         """The queue to serve now, or None if nothing may leave."""
-        for tier in self._order:
-            if only_emergency and tier != EMERGENCY_TIER:
-                return None
-            line = self._tiers[tier]
-            while line and line[0].empty:
-                line.popleft().active = False
-            if not line:
-                continue
-            if not only_always_send:
-                return line[0]
-            for queue in line:
-                if queue.rule.traffic_class.always_send and not queue.empty:
-                    return queue
+        emergency = self._tiers.get(EMERGENCY_TIER)
+        if emergency is not None:
+            queue = self._head(emergency, only_always_send)
+            if queue is not None:
+                return queue
+        if only_emergency:
+            return None
+        for tier in (*self._owed(), *(self._tiers[number] for number in self._order)):
+            queue = self._head(tier, only_always_send)
+            if queue is not None:
+                return queue
         return None
 
+    def _owed(self) -> list[_Tier]:
+        """Tiers whose guaranteed share is behind."""
+        tiers = (self._tiers.get(number) for number in self._guaranteed)
+        return [tier for tier in tiers if tier is not None and tier.owed > 0]
+
+    def on_sent(self, queue: TopicQueue, sent_bytes: int) -> None:
+        """Bytes of this queue's message, its frame included, are in a datagram."""
+        served = self._tiers[queue.rule.traffic_class.tier]
+        queue.virtual_finish += round(sent_bytes * _VIRTUAL_PER_BYTE / queue.rule.weight)
+        served.current = queue
+        for number in self._guaranteed:
+            tier = self._tiers.get(number)
+            if tier is None:
+                continue
+            if tier is served:
+                tier.owed -= sent_bytes * (_PER_MILLION - tier.share)
+            elif self._head(tier, False) is None:
+                tier.owed = 0
+            else:
+                tier.owed += sent_bytes * tier.share
+
     def message_done(self, queue: TopicQueue) -> None:
-        """A message has left whole, or was given up: the next topic of the tier has its turn."""
-        line = self._tiers[queue.rule.traffic_class.tier]
-        if line[0] is queue:
-            line.rotate(-1)
+        """A message has left whole or was given up: the tier's next topic has its turn."""
+        tier = self._tiers[queue.rule.traffic_class.tier]
+        if tier.current is queue:
+            tier.current = None
+        if tier.heap and tier.heap[0][2] is queue:
+            heappop(tier.heap)
         else:  # served out of turn while the link was held
-            line.remove(queue)
-            line.append(queue)
+            tier.heap = [item for item in tier.heap if item[2] is not queue]
+            tier.heap.sort()
+        self._line_up(tier, queue)
+
+    def _line_up(self, tier: _Tier, queue: TopicQueue) -> None:
+        queue.virtual_finish = max(queue.virtual_finish, tier.virtual_now)
+        self._arrivals += 1
+        heappush(tier.heap, (queue.virtual_finish, self._arrivals, queue))
+
+    def _head(self, tier: _Tier, only_always_send: bool) -> TopicQueue | None:
+        current = tier.current
+        if current is not None and (current.empty or not current.message_under_way):
+            tier.current = current = None
+        if not only_always_send:
+            if current is not None:
+                return current
+            heap = tier.heap
+            while heap:
+                start, _, queue = heap[0]
+                if not queue.empty:
+                    tier.virtual_now = max(tier.virtual_now, start)
+                    return queue
+                heappop(heap)
+                queue.active = False
+            return None
+        for _, _, queue in sorted(tier.heap):
+            if queue.rule.traffic_class.always_send and not queue.empty:
+                return queue
+        return None

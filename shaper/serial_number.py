@@ -43,3 +43,13 @@ class ReceivedWindow:
             return False
         self._seen |= bit
         return True
+
+    def below(self, number: int, bits: int) -> bytes:
+        """Which of the `bits` numbers before the highest have been accepted: bit 0 is number - 1.
+
+        Little-endian; empty if all have. Numbers below 0 count as accepted.
+        """
+        assert number == self.highest, "the window is told relative to its highest number"
+        existing = min(bits, number)
+        seen = self._seen >> 1 & ((1 << bits) - 1) | ((1 << bits) - 1 >> existing << existing)
+        return b"" if seen == (1 << bits) - 1 else seen.to_bytes(bits // 8, "little")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from shaper.endpoint import Endpoint
-from shaper.events import Delivered, Event, LinkState, PeerStarted
+from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt, Wanted
 
 Record = dict[str, object]
 Direction = Literal["down", "up"]
@@ -44,6 +44,10 @@ def event_record(event: Event, t_ns: int) -> Record:
                 "loss_ratio": round(event.loss_ratio, 4),
                 "holding": event.holding,
             }
+        case Receipt(key, tag, stage):
+            return {"event": "receipt", "t_ns": t_ns, "topic": key, "tag": tag, "stage": stage.value}
+        case Wanted(key, budget_bytes):
+            return {"event": "wanted", "t_ns": t_ns, "topic": key, "budget_bytes": budget_bytes}
         case PeerStarted():
             return {"event": "peer_started", "t_ns": t_ns, "epoch": event.epoch, "again": event.again}
 

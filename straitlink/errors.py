@@ -10,6 +10,7 @@ def user_errors() -> tuple[type[Exception], ...]:
     from perception_server.overview import ViewError
     from shaper.bus import BusError
     from shaper.errors import ShaperError
+    from shaper.metrics import MetricsError
     from shaper.udp import UdpError
     from straitlink.demo.errors import DemoError
     from straitlink.record import RecordError
@@ -20,6 +21,7 @@ def user_errors() -> tuple[type[Exception], ...]:
         ShaperError,
         BusError,
         UdpError,
+        MetricsError,
         ProfileError,
         ProxyError,
         ViewError,

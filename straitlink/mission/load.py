@@ -31,6 +31,11 @@ class LoadTopic:
     traffic_class: TrafficClass | None
     max_hz: float | None = None
 
+    @property
+    def is_reliable(self) -> bool:
+        """Whether the sender is told what became of each message."""
+        return self.traffic_class is not None and self.traffic_class.reliable
+
     def rule(self) -> TopicRule | None:
         """How the shaper treats it."""
         if self.traffic_class is None:
@@ -60,9 +65,9 @@ class _TopicTable(BaseModel):
     payload_bytes: Annotated[int, Field(ge=0, le=4_000_000)] = Field(
         validation_alias=AliasChoices("bytes", "payload_bytes")
     )
-    rate_hz: Annotated[float, Field(gt=0, le=100_000, allow_inf_nan=False)]
+    rate_hz: Annotated[float, Field(ge=1e-6, le=100_000, allow_inf_nan=False)]
     traffic_class: str = Field(validation_alias=AliasChoices("class", "traffic_class"))
-    max_hz: Annotated[float, Field(gt=0, le=100_000, allow_inf_nan=False)] | None = None
+    max_hz: Annotated[float, Field(ge=1e-6, le=100_000, allow_inf_nan=False)] | None = None
 
 
 class _LoadTable(BaseModel):

@@ -16,6 +16,7 @@ from netem_scripts.records import BandRecord, PacketRecord, StartRecord, event_o
 from shaper.datagram import IP_UDP_BYTES
 from shaper.endpoint import Endpoint, EndpointSettings, pump
 from shaper.events import Delivered, Event
+from shaper.ledger import ReceivedLedger
 from shaper.link_estimator import PresetBand, PresetBands
 from shaper.trace_records import (
     LEDGER_INTERVAL_NS,
@@ -240,10 +241,14 @@ class _Mission:
     def _topic_results(self) -> dict[str, Any]:
         sent = {**self.robot.endpoint.sent_ledgers(), **self.operator.endpoint.sent_ledgers()}
         rows = {}
+        reliable = {t.key for t in self.settings.load.topics if t.is_reliable}
         for key, outcome in self.topics.items():
             ledger = sent.get(key)
             counts = None if ledger is None else {**ledger.as_dict(), "queued": ledger.queued}
-            rows[key] = topic_row(outcome, counts)
+            receiver = self.operator if outcome.direction == "down" else self.robot
+            received = receiver.endpoint.received_ledgers.get(key, ReceivedLedger())
+            expired_there = 0 if key in reliable else received.expired
+            rows[key] = topic_row(outcome, counts, expired_there, received.stale)
         return rows
 
     # Traces.

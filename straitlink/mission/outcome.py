@@ -83,10 +83,13 @@ def settled_mask(direction: DirectionProfile, samples: int) -> np.ndarray[tuple[
     return mask
 
 
-def topic_row(outcome: TopicOutcome, sent: Mapping[str, int] | None) -> dict[str, object]:
+def topic_row(
+    outcome: TopicOutcome, sent: Mapping[str, int] | None, expired_there: int, stale: int
+) -> dict[str, object]:
     """One topic of the result. Every offered message is in exactly one of the counters.
 
-    offered = decimated + superseded + expired + overflow + delivered + lost + in_flight + local
+    offered = decimated + superseded + expired + overflow + delivered + stale + lost + in_flight + local
+    expired_there: messages that came after their time to live, of which the sender was not told.
     """
     counts = sent or {"decimated": 0, "superseded": 0, "expired": 0, "overflow": 0, "sent": 0}
     p50, p95, maximum = percentiles_ms(outcome.ages_ns)
@@ -97,8 +100,9 @@ def topic_row(outcome: TopicOutcome, sent: Mapping[str, int] | None) -> dict[str
         "offered": outcome.offered,
         "delivered": delivered,
         "superseded": counts["superseded"],
-        "expired": counts["expired"],
-        "lost": counts["sent"] - delivered,
+        "expired": counts["expired"] + expired_there,
+        "stale": stale,
+        "lost": counts["sent"] - delivered - expired_there - stale,
         "decimated": counts["decimated"],
         "overflow": counts["overflow"],
         "in_flight": queued,
@@ -107,4 +111,6 @@ def topic_row(outcome: TopicOutcome, sent: Mapping[str, int] | None) -> dict[str
         "age_p95_ms": p95,
         "age_max_ms": maximum,
         "bytes": outcome.received_bytes,
+        "sent_bytes": counts.get("sent_bytes", 0),
+        "repeated_bytes": counts.get("repeated_bytes", 0),
     }

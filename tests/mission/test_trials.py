@@ -60,7 +60,17 @@ def test_every_offered_message_is_in_exactly_one_counter(load: str) -> None:
 
 
 def accounted(row: dict[str, Any]) -> int:
-    counters = ("decimated", "superseded", "expired", "overflow", "delivered", "lost", "in_flight", "local")
+    counters = (
+        "decimated",
+        "superseded",
+        "expired",
+        "overflow",
+        "delivered",
+        "stale",
+        "lost",
+        "in_flight",
+        "local",
+    )
     return int(sum(row[counter] for counter in counters))
 
 

@@ -155,7 +155,11 @@ def test_zenoh_options_pass_through(tmp_path: Path) -> None:
             ["topics[0].compression", '"gzip"', "'raw' or 'zstd'"],
         ),
         ("[zenoh]", "[classes.x]\nttl_ms = 0\n[zenoh]", ["classes.x.ttl_ms", "= 0", "greater than 0"]),
-        ("[zenoh]", '[classes.x]\nkeep = "some"\n[zenoh]', ["classes.x.keep", '"some"', "'latest' or 'all'"]),
+        (
+            "[zenoh]",
+            '[classes.x]\nkeep = "some"\n[zenoh]',
+            ["classes.x.keep", '"some"', "'latest', 'all' or 'changes'"],
+        ),
         ("[zenoh]", "[limits]\nmax_topics = 0\n[zenoh]", ["limits.max_topics", "= 0"]),
         (
             "[zenoh]",
@@ -185,13 +189,13 @@ def test_a_mistake_is_told_by_file_field_value_and_expectation(
 @pytest.mark.parametrize(
     ("section", "field", "known"),
     [
-        ("", "speed", "link, zenoh, classes, topics, limits"),
+        ("", "speed", "link, zenoh, classes, tiers, metrics, topics, limits"),
         ("[link]", "link.speed", "side, listen, peer, max_datagram_bytes, pace_ratio, bands, accept"),
         ("[[link.bands]]", "link.bands[0].speed", "name, rate_bps, one_way_delay_ms"),
         ("[zenoh]", "zenoh.speed", "mode, listen, connect, config"),
-        ("[[topics]]", "topics[0].speed", "key, class, max_hz, compression"),
-        ("[classes.state]", "classes.state.speed", "tier, keep, ttl_ms, depth, always_send"),
-        ("[classes.link]", "classes.link.speed", "tier, keep, ttl_ms, depth, always_send"),
+        ("[[topics]]", "topics[0].speed", "key, class, max_hz, compression, weight, entries, pull"),
+        ("[classes.state]", "classes.state.speed", "tier, keep, ttl_ms, depth, always_send, reliable"),
+        ("[classes.link]", "classes.link.speed", "tier, keep, ttl_ms, depth, always_send, reliable"),
         ("[limits]", "limits.speed", "max_topics, max_message_bytes"),
     ],
 )

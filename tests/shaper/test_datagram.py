@@ -8,12 +8,17 @@ from hypothesis import strategies as st
 
 from shaper.datagram import (
     HEADER_BYTES,
+    SHARE_OVERHEAD_BYTES,
     Frame,
     Header,
     HelloFrame,
     KnownFrame,
+    LedgerFrame,
     MessageFrame,
+    Outcome,
+    ReceiptFrame,
     ReportFrame,
+    SkipFrame,
     TopicName,
     append_message,
     decode_datagram,
@@ -71,13 +76,13 @@ def test_a_cut_datagram_never_yields_a_frame_that_was_not_sent(datagram: tuple[H
         assert len(frames) < len(datagram[1])
 
 
-@given(message_frames())
+@given(message_frames(back=st.integers(0, 128 * 128 - 1)))
 def test_the_overhead_of_a_message_is_never_underestimated(frame: MessageFrame) -> None:
     total = max(frame.total_bytes, len(frame.data))
     most = message_overhead_bytes(frame.topic_id, frame.age_us, frame.name, frame.offset, total)
     out = bytearray()
     append_message(out, frame)
-    assert len(out) - len(frame.data) <= most
+    assert len(out) - len(frame.data) <= most + (SHARE_OVERHEAD_BYTES if frame.shares_needed else 0)
 
 
 def test_numbers_and_stamps_go_by_their_low_bits() -> None:
@@ -89,9 +94,16 @@ def test_numbers_and_stamps_go_by_their_low_bits() -> None:
 @pytest.mark.parametrize(
     ("body", "reason"),
     [
-        ("00", "frame type"),
-        ("06", "frame type"),
-        ("07", "frame type"),
+        ("00", "past the end"),
+        ("00" + "0000" + "ffff03", "do not fit"),
+        ("06" + "0000" + "ffff03", "do not fit"),
+        ("06" + "0000" + "01" + "00" + "0500" + "02", "outcome 2 is unknown"),
+        ("07" + "01" + "05", "past the end"),
+        ("03" + "00" * 13 + "00" + "09" + "00" * 9, "longer than 64"),
+        ("81" + "01" + "0100" + "00" + "01" + "61", "needs no shares"),
+        ("82" + "01" + "0100" + "00" + "8002" + "02" + "09" + "01" + "61", "share 256 of 2 for 9 bytes"),
+        ("82" + "01" + "0100" + "00" + "00" + "0a" + "09" + "01" + "61", "share 0 of 10 for 9 bytes"),
+        ("82" + "01" + "0100" + "00" + "00" + "02" + "03" + "03" + "616263", "share of 3 bytes is none of 2"),
         ("02" + "01" + "0100" + "00" + "00" + "05" + "00", "part of 0 bytes"),
         ("02" + "01" + "0100" + "00" + "04" + "05" + "02" + "6162", "does not fit"),
         ("01" + "01" + "0100" + "00" + "05" + "6162", "past the end"),
@@ -117,7 +129,7 @@ GOLDEN_DATAGRAMS: dict[str, tuple[Header, list[Frame]]] = {
         HEADER,
         [
             MessageFrame(
-                3, 258, 1500, b"pose", name=TopicName("robot/odometry", "application/cdr"), latest=True
+                3, 258, 1500, b"pose", name=TopicName("robot/odometry", "application/cdr", 2000), latest=True
             )
         ],
     ),
@@ -127,7 +139,31 @@ GOLDEN_DATAGRAMS: dict[str, tuple[Header, list[Frame]]] = {
         HEADER,
         [MessageFrame(4, 9, 70_000, b"middle", offset=1130, total_bytes=16_000, latest=True)],
     ),
+    "message, reliable": (HEADER, [MessageFrame(2, 300, 1000, b"step", reliable=True, back=3)]),
+    "part, reliable": (
+        HEADER,
+        [MessageFrame(2, 301, 1000, b"half", offset=600, total_bytes=900, reliable=True, back=4)],
+    ),
+    "share": (
+        HEADER,
+        [MessageFrame(4, 10, 70_000, b"parity", offset=14, total_bytes=84, shares_needed=14, latest=True)],
+    ),
+    "state": (HEADER, [MessageFrame(5, 6, 7, b"entries", latest=True, reliable=True, compressed=True)]),
     "report": (HEADER, [ReportFrame(0xCAFE, 0xABCDEF, 0x01020304, 5000, ((1, 950), (3, 12_000)))]),
+    "report, two missing": (
+        HEADER,
+        [ReportFrame(0xCAFE, 99, 7, 98, ((1, 950),), bytes.fromhex("f7fffffffffdffff"))],
+    ),
+    "receipt": (
+        HEADER,
+        [ReceiptFrame(0xCAFE, ((2, 300, Outcome.DELIVERED), (300, 65535, Outcome.EXPIRED)))],
+    ),
+    "skip": (HEADER, [SkipFrame(2, 302)]),
+    "ledger, sent half": (HEADER, [LedgerFrame(0xBEEF, True, ((3, (600, 0, 12, 1, 0, 587, 93_920, 160)),))]),
+    "ledger, received half": (
+        HEADER,
+        [LedgerFrame(0xCAFE, False, ((0, (300, 1, 0, 0, 19_200)), (1, (0, 0, 0, 2, 0))))],
+    ),
     "hello": (HEADER, [HelloFrame(1_750_000_000_000_000_000)]),
     "known": (HEADER, [KnownFrame(0xCAFE, (0, 1, 300))]),
     "everything at once": (

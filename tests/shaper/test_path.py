@@ -1,10 +1,12 @@
 import random
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shaper.datagram import ReportFrame
+from shaper.datagram import ARRIVED_BITS, ReportFrame
 from shaper.errors import DecodeError
 from shaper.path import Path, PeerClock
 from shaper.serial_number import expand
@@ -14,10 +16,31 @@ S = 1_000_000_000
 PEER_OFFSET_NS = 5 * 3600 * S
 
 
-def report(largest: int, at_ns: int, received: int, earlier: tuple[tuple[int, int], ...] = ()) -> ReportFrame:
+def report(
+    largest: int,
+    at_ns: int,
+    received: int,
+    earlier: tuple[tuple[int, int], ...] = (),
+    missing: Collection[int] = (),
+) -> ReportFrame:
     """What a peer whose clock is PEER_OFFSET_NS ahead says; at_ns in our clock."""
     arrival_us = (at_ns + PEER_OFFSET_NS) // 1000
-    return ReportFrame(1, largest & 0xFF_FFFF, arrival_us & 0xFFFF_FFFF, received, earlier)
+    bits = sum(1 << i for i in range(ARRIVED_BITS) if largest - 1 - i not in missing)
+    arrived = bits.to_bytes(ARRIVED_BITS // 8, "little") if missing else b""
+    return ReportFrame(1, largest & 0xFF_FFFF, arrival_us & 0xFFFF_FFFF, received, earlier, arrived)
+
+
+@dataclass
+class Fate:
+    """What a datagram carried, and what the path said of it."""
+
+    said: list[str]
+
+    def on_arrived(self) -> None:
+        self.said.append("arrived")
+
+    def on_lost(self) -> None:
+        self.said.append("lost")
 
 
 def peer_us(at_ns: int) -> int:
@@ -123,29 +146,103 @@ def test_the_round_trip_is_right_when_the_stamps_wrap() -> None:
 
 def test_the_loss_ratio_follows_what_is_lost() -> None:
     generator = random.Random(1)
-    path, clock, received = Path(), PeerClock(), 0
+    path, clock, missing = Path(), PeerClock(), set[int]()
     for i in range(4000):
         path.on_sent(100, i * MS)
-        received += generator.random() >= 0.1
         if i % 10 == 9:
-            path.on_report(report(i, i * MS, received), peer_us(i * MS), clock, i * MS)
-    assert path.loss_ratio == pytest.approx(0.1, abs=0.05)
+            path.on_report(report(i, i * MS, 0, missing=missing), peer_us(i * MS), clock, i * MS)
+        elif generator.random() < 0.1:
+            missing.add(i)
+    assert path.loss_ratio == pytest.approx(0.1 * 0.9, abs=0.05)
+    assert path.lost_packets == len(missing)
 
 
-def test_the_first_report_of_a_peer_is_no_evidence_of_loss() -> None:
-    path = path_with(100)
-    path.on_report(report(99, 99 * MS, 1), peer_us(99 * MS), PeerClock(), 100 * MS)
+def test_what_is_lost_is_told_once_and_so_is_what_arrived() -> None:
+    path, clock = Path(), PeerClock()
+    fates = [Fate([]) for _ in range(8)]
+    for i, fate in enumerate(fates):
+        path.on_sent(100, i * MS, (fate,))
+    for largest in (6, 7):
+        path.on_report(report(largest, 60 * MS, 0, missing={1, 2}), peer_us(60 * MS), clock, 110 * MS)
+    assert [fate.said for fate in fates] == [["lost"] if i in (1, 2) else ["arrived"] for i in range(8)]
+
+
+def test_two_packets_may_overtake_one_before_it_is_taken_for_lost() -> None:
+    path, clock, fate = Path(), PeerClock(), Fate([])
+    for i in range(5):
+        path.on_sent(100, i * MS, (fate,) if i == 1 else ())
+    path.on_report(report(3, 50 * MS, 0, missing={1}), peer_us(50 * MS), clock, 100 * MS)
+    assert fate.said == []
+    path.on_report(report(4, 51 * MS, 0, missing={1}), peer_us(51 * MS), clock, 101 * MS)
+    assert fate.said == ["lost"]
+
+
+def test_one_that_was_overtaken_and_comes_has_arrived() -> None:
+    path, clock, fate = Path(), PeerClock(), Fate([])
+    for i in range(5):
+        path.on_sent(100, i * MS, (fate,) if i == 1 else ())
+    path.on_report(report(3, 50 * MS, 0, missing={1}), peer_us(50 * MS), clock, 100 * MS)
+    path.on_report(report(4, 51 * MS, 0), peer_us(51 * MS), clock, 101 * MS)
+    assert fate.said == ["arrived"]
     assert path.loss_ratio == 0
 
 
-@given(st.lists(st.tuples(st.integers(1, 300), st.integers(0, 0xFFFF_FFFF)), max_size=40))
-def test_the_loss_ratio_is_a_ratio_whatever_the_peer_claims(reports: list[tuple[int, int]]) -> None:
+def test_nine_eighths_of_a_round_trip_are_patience_enough_where_nothing_follows() -> None:
+    path, clock, fate = Path(), PeerClock(), Fate([])
+    for i in range(50):  # settle the round trip at 100 ms
+        path.on_sent(100, i * MS)
+        path.on_report(report(i, (i + 50) * MS, 0), peer_us((i + 50) * MS), clock, (i + 100) * MS)
+    path.on_sent(100, 1000 * MS, (fate,))
+    path.on_sent(100, 1001 * MS)
+    path.on_report(report(51, 1051 * MS, 0, missing={50}), peer_us(1051 * MS), clock, 1101 * MS)
+    assert fate.said == []
+    path.on_sent(100, 1002 * MS)
+    path.on_report(report(52, 1052 * MS, 0, missing={50}), peer_us(1080 * MS), clock, 1130 * MS)
+    assert fate.said == ["lost"]
+
+
+def test_a_lost_report_hides_nothing() -> None:
+    """A later report says what has arrived of the last 64, so silence about packet 1 is no loss."""
     path, clock = Path(), PeerClock()
-    for sent, received in reports:
+    fates = [Fate([]) for _ in range(60)]
+    for i, fate in enumerate(fates):
+        path.on_sent(100, i * MS, (fate,))
+    path.on_report(report(59, 100 * MS, 0, missing={30}), peer_us(100 * MS), clock, 160 * MS)
+    assert [i for i, fate in enumerate(fates) if fate.said == ["lost"]] == [30]
+
+
+def test_the_first_report_of_a_peer_is_no_evidence_of_loss() -> None:
+    """What left before it was there is repeated, but the link has lost nothing."""
+    path, fate = Path(), Fate([])
+    for i in range(100):
+        path.on_sent(100, i * MS, (fate,) if i == 50 else ())
+    path.on_report(report(99, 99 * MS, 1, missing=range(99)), peer_us(99 * MS), PeerClock(), 100 * MS)
+    assert path.loss_ratio == 0
+    assert fate.said == ["lost"]
+
+
+@given(st.lists(st.tuples(st.integers(1, 300), st.binary(max_size=8)), max_size=40))
+def test_the_loss_ratio_is_a_ratio_whatever_the_peer_claims(reports: list[tuple[int, bytes]]) -> None:
+    path, clock = Path(), PeerClock()
+    for sent, arrived in reports:
         for _ in range(sent):
             path.on_sent(100, 0)
-        path.on_report(report(path.next_number - 1, 0, received), peer_us(0), clock, 0)
+        claim = replace(report(path.next_number - 1, 0, 0), arrived=arrived)
+        path.on_report(claim, peer_us(0), clock, 0)
         assert 0 <= path.loss_ratio <= 1
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 5), st.binary(max_size=8)), max_size=60))
+def test_every_packet_has_one_fate_whatever_the_peer_claims(acts: list[tuple[bool, int, bytes]]) -> None:
+    path, clock, fates = Path(), PeerClock(), list[Fate]()
+    for now_ms, (is_report, back, arrived) in enumerate(acts):
+        if not is_report or not fates:
+            fates.append(Fate([]))
+            path.on_sent(100, now_ms * MS, (fates[-1],))
+            continue
+        claim = replace(report(max(0, len(fates) - 1 - back), now_ms * MS, 0), arrived=arrived)
+        path.on_report(claim, peer_us(now_ms * MS), clock, now_ms * MS)
+        assert all(len(fate.said) <= 1 for fate in fates)
 
 
 # The peer's clock.

@@ -1,0 +1,153 @@
+"""The peer's topics on our side: what has come of each, and what may be delivered now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from shaper.datagram import MESSAGE_NUMBER_BITS, TopicName
+from shaper.ledger import ReceivedLedger
+from shaper.reliable import MAX_OUTSTANDING
+from shaper.serial_number import ReceivedWindow, expand, expand_above
+from shaper.shared_state import decode_entries
+
+_WINDOW = 256  # message numbers in which a late one is told from a new one
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """A whole message, with its capture and first send stamp in the peer's clock (us).
+
+    topic_id: of the peer's epoch; number: low bits, as on the wire. packed_bytes: as it crossed.
+    """
+
+    topic_id: int
+    number: int
+    payload: bytes
+    packed_bytes: int
+    capture_us: int
+    first_sent_us: int
+
+
+class PlainInbox:
+    """Messages that are sent once."""
+
+    def __init__(self, ledger: ReceivedLedger) -> None:
+        self._ledger = ledger
+        self._highest = -1
+        self._window = ReceivedWindow(span=_WINDOW)
+
+    def arrived(self, low_bits: int, latest: bool) -> int | None:
+        """The message's full number; None if it has come before or is overtaken: not to be delivered."""
+        if self._highest < 0:  # what came before the first that we hear of is not ours to count
+            self._window.accept(low_bits)
+            self._highest = low_bits
+            return low_bits
+        # A heartbeat wraps its 16 bits in two hours, and a blackout may last as long. Replays end at
+        # the packet numbers, so what is older than the window here is a number come round again.
+        number = expand_above(low_bits, MESSAGE_NUMBER_BITS, self._highest - _WINDOW)
+        overtaken = number < self._highest
+        if not self._window.accept(number):
+            return None
+        if overtaken:
+            self._ledger.lost = max(0, self._ledger.lost - 1)  # it was late, not lost
+            if latest:
+                self._ledger.stale += 1
+                return None
+        else:
+            self._ledger.lost += number - self._highest - 1
+            self._highest = number
+        return number
+
+
+class ReliableInbox:
+    """Messages to be delivered once and in order; later ones wait for the earlier.
+
+    As many may wait as a sender may have outstanding, and of no more than max_bytes together; a message
+    beyond that is no sender's of ours, and dropped.
+    """
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self._next: int | None = None
+        self._waiting: dict[int, Arrived] = {}
+
+    def arrived(self, message: Arrived, back: int) -> tuple[list[Arrived], list[int]]:
+        """What can be delivered now, in order, and the numbers that will not come any more.
+
+        back: how many numbers before this one the oldest is that may still come.
+        """
+        number = self._expand(message.number, back)
+        if self._next is None:
+            self._next = number - back
+        held_bytes = sum(len(waiting.payload) for waiting in self._waiting.values())
+        if self._next <= number < self._next + 2 * MAX_OUTSTANDING and held_bytes < self._max_bytes:
+            self._waiting.setdefault(number, message)
+        return self._advance(number - back)
+
+    def skip(self, low_bits: int) -> tuple[list[Arrived], list[int]]:
+        """Numbers before this one will not come; what can be delivered now, and those numbers."""
+        if self._next is None:
+            self._next = low_bits
+            return [], []
+        return self._advance(expand(low_bits, MESSAGE_NUMBER_BITS, self._next))
+
+    def _expand(self, low_bits: int, back: int) -> int:
+        return low_bits if self._next is None else expand(low_bits, MESSAGE_NUMBER_BITS, self._next)
+
+    def _advance(self, floor: int) -> tuple[list[Arrived], list[int]]:
+        assert self._next is not None
+        ready, missed = [], []
+        floor = min(floor, self._next + 2 * MAX_OUTSTANDING)  # a sender of ours skips no more at a time
+        while self._next < floor:
+            message = self._waiting.pop(self._next, None)
+            if message is not None:
+                ready.append(message)
+            else:
+                missed.append(self._next & 0xFFFF)
+            self._next += 1
+        while (message := self._waiting.pop(self._next, None)) is not None:
+            ready.append(message)
+            self._next += 1
+        return ready, missed
+
+
+class StateInbox:
+    """A state that both sides share: entries, each from the newest message that named it."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self._highest = -1
+        self._entries: dict[int, tuple[int, bytes | None]] = {}
+
+    def arrived(self, message: Arrived) -> bytes | None:
+        """The whole state if the message changes it, else None. Raises DecodeError."""
+        changes = decode_entries(message.payload)
+        near = message.number if self._highest < 0 else self._highest
+        number = expand(message.number, MESSAGE_NUMBER_BITS, near)
+        self._highest = max(self._highest, number)
+        changed = False
+        for name, raw in changes.items():
+            known_number, known = self._entries.get(name, (-(1 << 62), None))
+            if number > known_number:
+                changed |= raw != known or name not in self._entries
+                self._entries[name] = number, raw
+        self._shed()
+        return b"".join(raw for _, raw in self._entries.values() if raw is not None) if changed else None
+
+    def _shed(self) -> None:
+        held_bytes = sum(64 + len(raw or b"") for _, raw in self._entries.values())
+        while held_bytes > self._max_bytes:
+            _, raw = self._entries.pop(next(iter(self._entries)))
+            held_bytes -= 64 + len(raw or b"")
+
+
+Inbox = PlainInbox | ReliableInbox | StateInbox
+
+
+@dataclass(frozen=True, slots=True)
+class InTopic:
+    """One of the peer's topic ids: what it stands for, and whether we take it."""
+
+    name: TopicName
+    ledger: ReceivedLedger
+    accepted: bool

@@ -1,0 +1,204 @@
+"""Messages that must arrive: repeated until the receiver's receipt, or reported expired.
+
+A message that has left stays outstanding. What is lost of it (the path says so) leaves again before
+anything new, charged like anything else. The receiver delivers once and in order and sends a receipt.
+When a message's time to live ends, it is repeated no more and the receiver is told not to wait for it;
+if any of it had left, only the receiver can say whether it came in time, and does.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from shaper.datagram import Outcome
+from shaper.events import Receipt, ReceiptStage
+from shaper.path import Content
+from shaper.queues import Departure, Payload, Piece, TopicQueue, Waiting
+from shaper.traffic_class import TopicRule
+
+MAX_OUTSTANDING = 64  # messages of a topic under way at a time; also what a receiver may have to hold
+
+
+@dataclass(frozen=True, slots=True)
+class _SentPart:
+    queue: ReliableQueue
+    number: int
+    offset: int
+    count: int
+
+    def on_arrived(self) -> None:
+        """Nothing: only the receipt says that the whole message is there."""
+
+    def on_lost(self) -> None:
+        self.queue.repeat(self.number, self.offset, self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class SentSkip:
+    """A skip that is on its way."""
+
+    queue: ReliableQueue
+
+    def on_arrived(self) -> None:
+        """The receiver waits no more."""
+
+    def on_lost(self) -> None:
+        self.queue.skip()
+
+
+class ReliableQueue(TopicQueue):
+    """A FIFO whose messages are kept until the peer has said what became of them."""
+
+    __slots__ = ("_abandoned", "_again", "_on_receipt", "outstanding", "skip_due")
+
+    def __init__(
+        self,
+        key: str,
+        rule: TopicRule,
+        wake: Callable[[TopicQueue], None],
+        on_receipt: Callable[[Receipt], None],
+    ) -> None:
+        super().__init__(key, rule, wake)
+        self.outstanding: dict[int, Departure] = {}
+        self._abandoned: dict[int, int] = {}  # number: tag; given up, the receiver's word is awaited
+        self.skip_due = False  # the receiver has to be told that numbers will not come
+        self._again: deque[tuple[int, int, int]] = deque()  # (number, offset, count) to be repeated
+        self._on_receipt = on_receipt
+
+    def offer(self, payload: Payload, encoding: str, capture_ns: int, now_ns: int, tag: int = 0) -> bool:
+        waits = super().offer(payload, encoding, capture_ns, now_ns, tag)
+        if waits:
+            self._on_receipt(Receipt(self.key, tag, ReceiptStage.QUEUED))
+        return waits
+
+    def overflowed(self, message: Waiting) -> None:
+        super().overflowed(message)
+        self._on_receipt(Receipt(self.key, message.tag, ReceiptStage.SHED))
+
+    def next_piece(self, now_ns: int) -> Piece | None:
+        self._expire_outstanding(now_ns)
+        while self._again:
+            number, offset, count = self._again[0]
+            departure = self.outstanding.get(number)
+            if departure is not None:
+                return Piece(departure, offset, count, again=True)
+            self._again.popleft()
+        if self.departing is None and self._window_full:
+            return None
+        return super().next_piece(now_ns)
+
+    def depart(self, now_ns: int) -> Departure | None:
+        departure = super().depart(now_ns)
+        if departure is not None:
+            self.outstanding[departure.number] = departure
+        return departure
+
+    def expired(self, tag: int) -> None:
+        super().expired(tag)
+        self._on_receipt(Receipt(self.key, tag, ReceiptStage.EXPIRED))
+
+    def too_late(self, piece: Piece) -> None:
+        self._give_up(piece.departure)
+
+    def sent(self, piece: Piece, count: int) -> Content | None:
+        if piece.again:
+            self._again.popleft()
+            if count < piece.count:
+                rest = (piece.departure.number, piece.offset + count, piece.count - count)
+                self._again.appendleft(rest)
+            self.ledger.repeated_bytes += count
+        else:
+            super().sent(piece, count)
+        return _SentPart(self, piece.departure.number, piece.offset, count)
+
+    def departed(self) -> None:
+        assert self.departing is not None
+        self._on_receipt(Receipt(self.key, self.departing.tag, ReceiptStage.SENT))
+        self.departing = None
+
+    def repeat(self, number: int, offset: int, count: int) -> None:
+        """A part was lost; it leaves again unless the message is settled by now."""
+        if number in self.outstanding:
+            self._again.append((number, offset, count))
+            self.wake(self)
+
+    def skip(self) -> None:
+        """Tell the receiver not to wait for numbers that were given up."""
+        self.skip_due = True
+        self.wake(self)
+
+    def first_outstanding(self) -> int:
+        """The oldest number that may still come."""
+        return next(iter(self.outstanding), self.next_number)
+
+    def on_outcome(self, number_low_bits: int, outcome: Outcome) -> None:
+        """The peer says what became of a message."""
+        tag = self._settle(number_low_bits)
+        if tag is None:
+            return
+        if outcome is Outcome.DELIVERED:
+            self.ledger.sent += 1
+            self._on_receipt(Receipt(self.key, tag, ReceiptStage.DELIVERED))
+        else:
+            self.expired(tag)
+        if not self.empty:
+            self.wake(self)  # the window has room again
+
+    def on_peer_restarted(self) -> None:
+        """Everything without a receipt leaves again, in order."""
+        for tag in self._abandoned.values():
+            self.expired(tag)  # nobody is left who could say otherwise
+        self._abandoned.clear()
+        self.departing = None
+        self._again = deque((n, 0, len(d.data)) for n, d in self.outstanding.items())
+        for number, departure in self.outstanding.items():
+            departure.offset = len(departure.data)
+            self.next_number = max(self.next_number, number + 1)
+        if self._again:
+            self.wake(self)
+
+    def _expire_outstanding(self, now_ns: int) -> None:
+        ttl_ns = self.rule.traffic_class.ttl_ns
+        late = [n for n, d in self.outstanding.items() if now_ns - d.capture_ns > ttl_ns]
+        for number in late:
+            self._give_up(self.outstanding[number])
+
+    def _give_up(self, departure: Departure) -> None:
+        del self.outstanding[departure.number]
+        if self.departing is departure:
+            self.departing = None
+        if departure.begun:
+            self._abandoned[departure.number] = departure.tag
+            self.skip()
+        else:
+            self.expired(departure.tag)
+
+    def _settle(self, number_low_bits: int) -> int | None:
+        """Forget a message that the receiver has spoken of; its tag, or None if there is none."""
+        for number, departure in self.outstanding.items():
+            if number & 0xFFFF == number_low_bits:
+                del self.outstanding[number]
+                if self.departing is departure:  # cannot be, unless the peer is wrong
+                    self.departing = None
+                return departure.tag
+        for number in self._abandoned:
+            if number & 0xFFFF == number_low_bits:
+                return self._abandoned.pop(number)
+        return None
+
+    @property
+    def awaits_outcome(self) -> bool:
+        """Whether the receiver has still to say what became of something."""
+        return bool(self.outstanding or self._abandoned)
+
+    @property
+    def empty(self) -> bool:
+        if self._again or self.skip_due or self.departing is not None:
+            return False
+        return not self.waiting or self._window_full
+
+    @property
+    def _window_full(self) -> bool:
+        return len(self.outstanding) + len(self._abandoned) >= MAX_OUTSTANDING
