@@ -19,6 +19,7 @@ KERNEL = "linux.uml"
 _MEMORY = "1024M"
 _BOOT_S = 30.0  # it takes 1 to 3 s
 _NO_CODE = 125  # the guest ended before the command did
+_DRAIN_S = 2  # how long output may take after the kernel's end
 TIMED_OUT = 124  # as timeout(1) has it
 _MODULES = ("net/sched/sch_netem", "drivers/net/veth")
 _ENVIRONMENT = ("PATH", "HOME", "LANG", "VIRTUAL_ENV", "PYTHONPATH", "PYTHONDONTWRITEBYTECODE")
@@ -61,14 +62,20 @@ def prepare_guest() -> None:
 
 
 def _boot_script(init: str) -> str:
-    """What runs on the host. The pipes keep the kernel from making our own output non-blocking."""
+    """What runs on the host.
+
+    The pipes keep the kernel from making our own output non-blocking. What the kernel leaves behind when it
+    is killed holds them open, hence the bound on the wait for their ends.
+    """
     kernel = (
         f"{KERNEL} mem={_MEMORY} rootfstype=hostfs rootflags=/ rw init=/run/init uml_dir=/run/ umid=guest "
         "con=null con0=null,fd:5 ssl=null ssl0=null,fd:1 ssl1=null,fd:2 quiet loglevel=2 panic=1"
     )
     return (
         f"printf %s {shlex.quote(init)} >/run/init; chmod +x /run/init; export TMPDIR=/dev/shm\n"
-        f"{{ {{ {kernel} </dev/null 2>&3 5>/run/console | cat >&4; }} 3>&1 | cat >&2; }} 4>&1\n"
+        "mkfifo /run/out /run/err; cat </run/out & out=$!; cat </run/err >&2 & err=$!\n"
+        f"{kernel} </dev/null >/run/out 2>/run/err 5>/run/console\n"
+        f"(sleep {_DRAIN_S}; kill $out $err) 2>/dev/null & wait $out $err 2>/dev/null\n"
         f"[ -s /run/code ] || {{ cat /run/console >&2; echo {_NO_CODE} >/run/code; }}\n"
         "exit $(cat /run/code)\n"
     )

@@ -122,6 +122,20 @@ def test_every_named_profile_knows_its_name_its_source_and_reads_back_the_same(p
     assert profile_from_dict(profile_to_dict(profile), where="saved", name="other") == profile
 
 
+def test_the_csv_example_in_the_documentation_is_a_profile(tmp_path: Path) -> None:
+    document = (ROOT / "docs" / "link.md").read_text(encoding="utf-8")
+    path = tmp_path / "example.csv"
+    path.write_text(document.split("```csv\n")[1].split("```")[0])
+    profile = load_profile(path)
+    assert [band.rate_bps for band in profile.down.bands] == [1_000_000, 64_000]
+    assert [band.rate_bps for band in profile.up.bands] == [1_000_000, 9_600]
+
+
+def test_every_named_profile_is_in_the_documentation() -> None:
+    document = (ROOT / "docs" / "link.md").read_text(encoding="utf-8")
+    assert [p.name for p in named_profiles() if f"`{p.name}`" not in document] == []
+
+
 def test_the_example_in_the_documentation_is_a_profile() -> None:
     document = (ROOT / "docs" / "link.md").read_text(encoding="utf-8")
     example = document.split("```toml\n")[1].split("```")[0]
