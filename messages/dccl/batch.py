@@ -179,7 +179,8 @@ class Batch:
         is_nan = array != array
         if treatment == "raise":
             # A bound that its own rounding puts outside is not the value's fault.
-            is_noise = is_outside & (array >= n.minimum) & (array <= n.maximum)
+            low, high = n.type_range
+            is_noise = is_outside & (array >= low) & (array <= high)
             nearest = np.where(array * 2 < n.minimum + n.maximum, n.first, n.last) - n.origin + n.offset
             wires, is_outside = np.where(is_noise, nearest, wires), is_outside & ~is_noise
             if not is_outside.any():

@@ -8,11 +8,10 @@ one comparison at the end tells whether anything was read there.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from google.protobuf.message import Message as ProtobufMessage
 
+from messages.dccl.bits import BitReader
 from messages.dccl.clock import TimeWindow
 from messages.dccl.conditions import FieldConditions
 from messages.dccl.errors import DecodeError
@@ -32,11 +31,6 @@ from messages.dccl.fields import (
 from messages.dccl.limits import CountLimits, NumberLimits, TextLimits
 from messages.dccl.schema import Schema
 from messages.dccl.source import PACKED_AT_ONCE, Source, assignment, attribute, shifts, unpack
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-_PIECE_BITS = 120  # read at once, then taken apart in integers of four digits
 
 Decoder = Callable[[bytes, int | None], tuple[ProtobufMessage, int]]
 
@@ -60,9 +54,7 @@ class _DecoderPlan:
         self.source = Source()
         self._name = schema.name
         self._hash = schema_hash
-        self._at: int = 0  # place of the next bit, from the bit `s` if _is_varying
-        self._is_varying = False
-        self._piece: tuple[str, int] | None = None  # an integer's name and its first bit's place
+        self._bits = BitReader(self.source)
         line = self.source.line
         line("size = len(data)")
         with self.source.block(f"if size < {schema.min_bytes}:"):
@@ -70,16 +62,15 @@ class _DecoderPlan:
                  f" {schema.min_bytes}')")  # fmt: skip
         line(f"x = from_bytes(data[:{schema.max_bytes}], 'little')")
         if schema.id_bits:
-            with self.source.block(f"if {self._read(schema.id_bits)} != {schema.id_wire}:"):
+            with self.source.block(f"if {self._bits.read(schema.id_bits)} != {schema.id_wire}:"):
                 line(f"raise DecodeError('the first bytes are not the id of {schema.name},"
                      f" {schema.options.message_id}')")  # fmt: skip
         line("root = new()")
         self._message("root", schema.head)
-        self._jump(8 * schema.head_bytes)
+        self._bits.jump(8 * schema.head_bytes)
         self._message("root", schema.body)
-        end = f"({self._place()} + 7) >> 3" if self._is_varying else str((self._at + 7) // 8)
-        line(f"end = {end}")
-        if self._is_varying:
+        line(f"end = ({self._bits.place()} + 7) >> 3")
+        if self._bits.is_varying:
             with self.source.block("if end > size:"):
                 line(f"raise DecodeError(f'{{size}} bytes end within {schema.name}; it takes {{end}}')")
         line("return root, end")
@@ -90,7 +81,7 @@ class _DecoderPlan:
         chosen: dict[str, str] = {}
         for oneof in message.oneofs:
             name = self.source.name("o")
-            self.source.line(f"{name} = {self._read(oneof.bits)}")
+            self.source.line(f"{name} = {self._bits.read(oneof.bits)}")
             with self.source.block(f"if {name} > {len(oneof.members)}:"):
                 what = f"{self._name}: oneof {oneof.name} has no member"
                 self.source.line(f"raise DecodeError(f'{what} {{{name}}}')")
@@ -99,14 +90,14 @@ class _DecoderPlan:
             if f.conditions is not None:
                 self._conditional(owner, f, chosen.get(f.name))
             elif isinstance(f.wire, CustomWire) and f.name in chosen:
-                with self._branch(f"if {chosen[f.name]}:"):
+                with self._bits.branch(f"if {chosen[f.name]}:"):
                     self._custom(owner, f)
             elif isinstance(f.wire, CustomWire):
                 self._custom(owner, f)
             elif f.max_repeat is not None:
                 self._repeated(owner, f)
             elif f.name in chosen:
-                with self._branch(f"if {chosen[f.name]}:"):
+                with self._bits.branch(f"if {chosen[f.name]}:"):
                     self._singular(owner, f)
             else:
                 self._singular(owner, f)
@@ -115,7 +106,7 @@ class _DecoderPlan:
         if not f.has_presence_bit:
             self._element(owner, f, numeric)
             return
-        with self._branch(f"if {self._read(1)}:"):
+        with self._bits.branch(f"if {self._bits.read(1)}:"):
             self._element(owner, f, numeric)
 
     def _conditional(self, owner: str, f: Field, chosen: str | None) -> None:
@@ -128,12 +119,12 @@ class _DecoderPlan:
         if f.max_repeat is not None:
             self._conditional_elements(owner, f, conditions, outcome, numeric)
             return
-        with self._branch(f"if {chosen}:" if chosen else "if True:"):
+        with self._bits.branch(f"if {chosen}:" if chosen else "if True:"):
             self.source.line(f"{outcome} = {conditions}.evaluate(root, {owner}, 0)")
-            with self._branch(f"if not {outcome}.is_omitted:"):
-                with self._branch(f"if {outcome}.is_required:"):
+            with self._bits.branch(f"if not {outcome}.is_omitted:"):
+                with self._bits.branch(f"if {outcome}.is_required:"):
                     self._singular(owner, required, numeric)
-                with self._branch(f"if not {outcome}.is_required:"):
+                with self._bits.branch(f"if not {outcome}.is_required:"):
                     self._singular(owner, f, numeric)
 
     def _conditional_elements(
@@ -141,10 +132,10 @@ class _DecoderPlan:
     ) -> None:
         count = self._count(f)
         index = self.source.name("i")
-        self._vary()
-        with self._branch(f"for {index} in range(1, {count} + 1):"):
+        self._bits.vary()
+        with self._bits.branch(f"for {index} in range(1, {count} + 1):"):
             self.source.line(f"{outcome} = {conditions}.evaluate(root, {owner}, {index})")
-            with self._branch(f"if not {outcome}.is_omitted:"):
+            with self._bits.branch(f"if not {outcome}.is_omitted:"):
                 self._added(owner, f, numeric)
 
     def _custom(self, owner: str, f: Field) -> None:
@@ -152,7 +143,7 @@ class _DecoderPlan:
         assert isinstance(wire, CustomWire)  # the caller has looked
         codec = self.source.constant("codec", wire.codec)
         value, taken = self.source.name("v"), self.source.name("n")
-        place = self._place()
+        place = self._bits.place()
         self.source.line(f"{value}, {taken} = {codec}.decode(x >> {place}, 8 * size - ({place}))")
         if f.max_repeat is not None:
             self.source.line(f"{attribute(owner, f.name)}.extend({value})")
@@ -164,9 +155,9 @@ class _DecoderPlan:
                     self.source.line(assignment(owner, f.name, value))
         low, high = wire.size
         if low == high:
-            self._jump(self._at + low)
+            self._bits.skip(low)
             return
-        self._vary()
+        self._bits.vary()
         self.source.line(f"s += {taken}")
 
     # ELEMENTS
@@ -196,7 +187,7 @@ class _DecoderPlan:
         if numeric:
             value = self.source.name("v")
             limits = self._limits(f)
-            self._vary()
+            self._bits.vary()
             mask = f"((1 << {numeric}.bits) - 1)"
             self.source.line(f"{value} = {limits}.value_within({numeric}, x >> s & {mask})")
             self.source.line(f"s += {numeric}.bits")
@@ -206,26 +197,26 @@ class _DecoderPlan:
         if isinstance(wire, TimeWire):
             window = self.source.constant("time", TimeWindow(f.path, wire))
             value = self.source.name("v")
-            self.source.line(f"{value} = {window}.value({self._read(wire.numeric.bits)}, now_s)")
+            self.source.line(f"{value} = {window}.value({self._bits.read(wire.numeric.bits)}, now_s)")
             return value, "" if wire.numeric.is_required else f"{value} is not None"
         if isinstance(wire, BoolWire):
             if wire.is_required:
-                return f"{self._read(1)} == 1", ""
+                return f"{self._bits.read(1)} == 1", ""
             bits = self.source.name("u")
-            self.source.line(f"{bits} = {self._read(2)}")
+            self.source.line(f"{bits} = {self._bits.read(2)}")
             with self.source.block(f"if {bits} == 3:"):
                 self.source.line(f"raise DecodeError({f'{f.path}: 3 on the wire is no bool'!r})")
             return f"{bits} == 2", bits
         if isinstance(wire, EnumWire):
             table = self._enum_table(wire)
             value = self.source.name("v")
-            self.source.line(f"{value} = {table}.get({self._read(wire.numeric.bits)})")
+            self.source.line(f"{value} = {table}.get({self._bits.read(wire.numeric.bits)})")
             return value, f"{value} is not None"
         if isinstance(wire, TextWire):
             return self._text(f, wire)
         if isinstance(wire, HashWire):
             value = self.source.name("v")
-            self.source.line(f"{value} = {self._read(wire.bits)}")
+            self.source.line(f"{value} = {self._bits.read(wire.bits)}")
             with self.source.block(f"if {value} != {self._hash & ((1 << wire.bits) - 1)}:"):
                 self.source.line(
                     f"raise DecodeError({f'{f.path}: the sender has another schema of {self._name}'!r})"
@@ -239,11 +230,11 @@ class _DecoderPlan:
         limits = self._limits(f)
         if not n.is_affine:
             value = self.source.name("v")
-            self.source.line(f"{value} = {limits}.value({self._read(n.bits)})")
+            self.source.line(f"{value} = {limits}.value({self._bits.read(n.bits)})")
             return value, f"{value} is not None"
         greatest = n.greatest_wire
         is_checked = greatest < (1 << n.bits) - 1
-        bits = self._read(n.bits)
+        bits = self._bits.read(n.bits)
         if is_checked or not n.is_required:
             name = self.source.name("u")
             self.source.line(f"{name} = {bits}")
@@ -258,15 +249,15 @@ class _DecoderPlan:
         limits = self.source.constant("limits", TextLimits(f.path, wire.max_length, True))
         test = ""
         if wire.is_fixed:
-            bits = self._read(8 * wire.max_length, is_alone=True)
+            bits = self._bits.read(8 * wire.max_length, is_alone=True)
             self.source.line(f"{content} = {bits}.to_bytes({wire.max_length}, 'little')")
         else:
             length = self.source.name("n")
-            self.source.line(f"{length} = {self._read(wire.prefix_bits)}")
+            self.source.line(f"{length} = {self._bits.read(wire.prefix_bits)}")
             if wire.max_length < (1 << wire.prefix_bits) - 1:
                 with self.source.block(f"if {length} > {wire.max_length}:"):
                     self.source.line(f"raise {limits}.too_long({length})")
-            self._vary()
+            self._bits.vary()
             mask = f"((1 << 8 * {length}) - 1)"
             self.source.line(f"{content} = (x >> s & {mask}).to_bytes({length}, 'little')")
             self.source.line(f"s += 8 * {length}")
@@ -288,7 +279,7 @@ class _DecoderPlan:
         if f.is_padded or low == high:
             return str(high)
         count = self.source.name("n")
-        self.source.line(f"{count} = {self._read(f.count_bits)}{f' + {low}' if low else ''}")
+        self.source.line(f"{count} = {self._bits.read(f.count_bits)}{f' + {low}' if low else ''}")
         if high - low < (1 << f.count_bits) - 1:
             limits = self.source.constant("limits", CountLimits(f.path, low, high, True))
             with self.source.block(f"if {count} > {high}:"):
@@ -300,10 +291,10 @@ class _DecoderPlan:
         if isinstance(f.wire, NumberWire | BoolWire | EnumWire) and not f.has_presence_bit:
             self._array(owner, count, f)
             return
-        self._vary()
-        with self._branch(f"for _ in range({count}):"):
+        self._bits.vary()
+        with self._bits.branch(f"for _ in range({count}):"):
             if f.has_presence_bit:
-                with self._branch(f"if {self._read(1)}:"):
+                with self._bits.branch(f"if {self._bits.read(1)}:"):
                     self._added(owner, f)
             else:
                 self._added(owner, f)
@@ -364,10 +355,10 @@ class _DecoderPlan:
         is_short = high <= PACKED_AT_ONCE
         packed = self.source.name("p")
         if count.isdigit():
-            self.source.line(f"{packed} = {self._read(width * high, is_alone=True)}")
+            self.source.line(f"{packed} = {self._bits.read(width * high, is_alone=True)}")
             places = self.source.constant("shifts", shifts(width, high)) if is_short else ""
         else:
-            self._vary()
+            self._bits.vary()
             mask = f"((1 << {width} * {count}) - 1)"
             if is_short:
                 masks = tuple((1 << width * n) - 1 for n in range(high + 1))
@@ -379,54 +370,6 @@ class _DecoderPlan:
         if not is_short:
             return "u", f"for u in unpack({packed}, {width}, {count})"
         return f"({packed} >> i & {(1 << width) - 1})", f"for i in {places}"
-
-    # BITS
-
-    def _place(self) -> str:
-        if not self._is_varying:
-            return str(self._at)
-        return f"s + {self._at}" if self._at else "s"
-
-    def _read(self, width: int, is_alone: bool = False) -> str:
-        """An expression for the next bits; moves on. is_alone: too many to share a piece."""
-        if width == 0:
-            return "0"
-        place, self._at = self._at, self._at + width
-        mask = (1 << width) - 1
-        if is_alone or width > _PIECE_BITS:
-            return f"({self._from(place)} & {mask})"
-        if self._piece is None or place + width > self._piece[1] + _PIECE_BITS:
-            name = self.source.name("p")
-            self.source.line(f"{name} = {self._from(place)} & {(1 << _PIECE_BITS) - 1}")
-            self._piece = name, place
-        name, start = self._piece
-        return f"({name} >> {place - start} & {mask})" if place > start else f"({name} & {mask})"
-
-    def _from(self, place: int) -> str:
-        """An expression for all bits from a place on."""
-        if self._is_varying:
-            return f"x >> s + {place}" if place else "x >> s"
-        return f"x >> {place}" if place else "x"
-
-    def _jump(self, place: int) -> None:
-        self._at, self._piece = place, None
-
-    def _vary(self) -> None:
-        """From here on the place is the variable s."""
-        if not self._is_varying:
-            self.source.line(f"s = {self._at}")
-        elif self._at:
-            self.source.line(f"s += {self._at}")
-        self._is_varying = True
-        self._jump(0)
-
-    @contextmanager
-    def _branch(self, header: str) -> Iterator[None]:
-        """A block that may or may not run: the place is variable before it and after it."""
-        self._vary()
-        with self.source.block(header):
-            yield
-            self._vary()
 
 
 def _affine(bits: str, shift: int, wire: NumberWire) -> str:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import lshift
 
 from google.protobuf.message import Message as ProtobufMessage
 
+from messages.dccl.bits import BitWriter
 from messages.dccl.conditions import FieldConditions
 from messages.dccl.fields import (
     BoolWire,
@@ -40,8 +41,6 @@ from messages.dccl.numeric import type_bounds
 from messages.dccl.schema import Schema
 from messages.dccl.source import PACKED_AT_ONCE, Source, attribute, ones, pack, shifts
 
-_PIECE_BITS = 64  # a piece is summed in integers of three digits at most
-
 Encoder = Callable[[ProtobufMessage, Deviations], bytes]
 
 
@@ -56,19 +55,6 @@ class Policy:
         """The treatment of a number out of bounds."""
         default: Treatment = "raise" if self.is_strict else "dccl"
         return self.treatments.get(path, self.treatments.get("*", default))
-
-
-@dataclass(slots=True)
-class _Bits:
-    """An integer under construction. at: its bits so far, None once only the variable `size` knows."""
-
-    value: str
-    size: str
-    at: int | None = 0
-    pieces: list[str] = field(default_factory=list)
-    bias: int = 0
-    pending: int = 0
-    is_assigned: bool = False
 
 
 def compile_encoder(
@@ -98,26 +84,26 @@ class _EncoderPlan:
         self.source = Source()
         self._policy = policy
         self._hash = schema_hash
-        bits = self._new_bits()
-        self._put(bits, str(schema.id_wire), schema.id_bits)
+        bits = BitWriter(self.source)
+        bits.put(str(schema.id_wire), schema.id_bits)
         self._message(bits, "root", schema.head)
-        self._skip(bits, 8 * schema.head_bytes - schema.id_bits - schema.head.max_bits)
+        bits.skip(8 * schema.head_bytes - schema.id_bits - schema.head.max_bits)
         self._message(bits, "root", schema.body)
-        self._flush(bits)
+        bits.flush()
         size = f"({bits.size} + 7) >> 3" if bits.at is None else str((bits.at + 7) // 8)
         value = bits.value if bits.is_assigned else "0"
         self.source.line(f"return {value}.to_bytes({size}, 'little')" if bits.is_assigned else "return b''")
 
     # MESSAGES AND FIELDS
 
-    def _message(self, bits: _Bits, owner: str, message: Message) -> None:
+    def _message(self, bits: BitWriter, owner: str, message: Message) -> None:
         chosen = {}
         for oneof in message.oneofs:
             name = self.source.name("o")
             places = {member: i + 1 for i, member in enumerate(oneof.members)}
             table = self.source.constant("places", {None: 0, **places})
             self.source.line(f"{name} = {owner}.WhichOneof({oneof.name!r})")
-            self._put(bits, f"{table}[{name}]", oneof.bits)
+            bits.put(f"{table}[{name}]", oneof.bits)
             chosen.update(dict.fromkeys(oneof.members, name))
         for f in message.fields:
             if f.conditions is not None:
@@ -129,7 +115,7 @@ class _EncoderPlan:
             else:
                 self._singular(bits, owner, f, chosen.get(f.name))
 
-    def _singular(self, bits: _Bits, owner: str, f: Field, oneof: str | None, numeric: str = "") -> None:
+    def _singular(self, bits: BitWriter, owner: str, f: Field, oneof: str | None, numeric: str = "") -> None:
         value = attribute(owner, f.name)
         is_forced = f.is_required and not f.descriptor.is_required and oneof is None
         if f.descriptor.is_required:
@@ -139,11 +125,11 @@ class _EncoderPlan:
         low, high = f.element_size
         if oneof:
             low = 0
-        inner = self._new_bits()
+        inner = BitWriter(self.source)
         is_fixed = low == high and not numeric
         with self.source.block(f"if {test}:"):
             self._element(inner, value, f, numeric)
-            self._finish(inner, is_fixed)
+            inner.finish(is_fixed)
         with self.source.block("else:"):
             self.source.line(f"{inner.value} = 0")
             if is_forced:
@@ -151,24 +137,24 @@ class _EncoderPlan:
                 self.source.line(f"{missing}.missing(deviations)")
             if not is_fixed:
                 self.source.line(f"{inner.size} = {f'{numeric}.bits' if numeric else low}")
-        self._append(bits, inner, low if is_fixed else None)
+        bits.append(inner, low if is_fixed else None)
 
-    def _repeated(self, bits: _Bits, owner: str, f: Field) -> None:
+    def _repeated(self, bits: BitWriter, owner: str, f: Field) -> None:
         values, count = self._fitted(owner, f)
         if isinstance(f.wire, NumberWire | BoolWire | EnumWire) and not f.has_presence_bit:
             self._array(bits, values, count, f)
             return
         self._count_prefix(bits, count, f)
-        self._vary(bits)
+        bits.vary()
         element = self.source.name("e")
         with self.source.block(f"for {element} in {values}:"):
-            inner = self._new_bits()
+            inner = BitWriter(self.source)
             self._element(inner, element, f)
-            self._finish(inner, False)
-            self._append(bits, inner, None)
+            inner.finish(False)
+            bits.append(inner, None)
         self._fill_up(bits, count, f)
 
-    def _conditional(self, bits: _Bits, owner: str, f: Field, oneof: str | None) -> None:
+    def _conditional(self, bits: BitWriter, owner: str, f: Field, oneof: str | None) -> None:
         conditions = self.source.constant("conditions", FieldConditions(f))
         outcome = self.source.name("c")
         required = f.when_required
@@ -176,29 +162,29 @@ class _EncoderPlan:
         has_bounds = f.conditions is not None and (f.conditions.minimum or f.conditions.maximum) is not None
         numeric = f"{outcome}.numeric" if has_bounds else ""
         if f.max_repeat is None:
-            self._vary(bits)
+            bits.vary()
             self.source.line(f"{outcome} = {conditions}.evaluate(root, {owner}, 0)")
             with self.source.block(f"if not {outcome}.is_omitted:"):
                 with self.source.block(f"if {outcome}.is_required:"):
                     self._singular(bits, owner, required, oneof, numeric)
-                    self._vary(bits)
+                    bits.vary()
                 with self.source.block("else:"):
                     self._singular(bits, owner, f, oneof, numeric)
-                    self._vary(bits)
+                    bits.vary()
             return
         values, count = self._fitted(owner, f)
         self._count_prefix(bits, count, f)
-        self._vary(bits)
+        bits.vary()
         index, element = self.source.name("i"), self.source.name("e")
         with self.source.block(f"for {index}, {element} in enumerate({values}, 1):"):
             self.source.line(f"{outcome} = {conditions}.evaluate(root, {owner}, {index})")
             with self.source.block(f"if not {outcome}.is_omitted:"):
-                inner = self._new_bits()
+                inner = BitWriter(self.source)
                 self._element(inner, element, f, numeric)
-                self._finish(inner, False)
-                self._append(bits, inner, None)
+                inner.finish(False)
+                bits.append(inner, None)
 
-    def _custom(self, bits: _Bits, owner: str, f: Field, oneof: str | None) -> None:
+    def _custom(self, bits: BitWriter, owner: str, f: Field, oneof: str | None) -> None:
         wire = f.wire
         assert isinstance(wire, CustomWire)  # the caller has looked
         codec = self.source.constant("codec", wire.codec)
@@ -207,21 +193,21 @@ class _EncoderPlan:
             value = f"{value}[:]"
         elif not f.descriptor.is_required:
             value = f"{value} if {owner}.HasField({f.name!r}) else None"
-        inner = self._new_bits()
+        inner = BitWriter(self.source)
         result = f"{codec}.encode({value})"
         if oneof:
             result = f"{codec}.encode({attribute(owner, f.name)}) if {oneof} == {f.name!r} else (0, 0)"
         self.source.line(f"{inner.value}, {inner.size} = {result}")
         inner.is_assigned, inner.at = True, None
         low, high = (0, 1) if oneof else wire.size
-        self._append(bits, inner, low if low == high else None)
+        bits.append(inner, low if low == high else None)
 
     # ELEMENTS
 
-    def _element(self, bits: _Bits, value: str, f: Field, numeric: str = "") -> None:
+    def _element(self, bits: BitWriter, value: str, f: Field, numeric: str = "") -> None:
         """One value that is set, with its presence bit. numeric: the expression of dynamic bounds."""
         if f.has_presence_bit:
-            self._put(bits, "1", 1)
+            bits.put("1", 1)
         wire = f.wire
         if isinstance(wire, MessageWire):
             name = self.source.name("m")
@@ -230,7 +216,7 @@ class _EncoderPlan:
             self._message(bits, name, wire.message)
         elif numeric:
             limits = self._limits(f)
-            self._vary(bits)
+            bits.vary()
             self.source.line(
                 f"{bits.value} += {limits}.wire_within({numeric}, {value}, deviations) << {bits.size}"
             )
@@ -238,31 +224,31 @@ class _EncoderPlan:
         elif isinstance(wire, NumberWire | TimeWire):
             self._number(bits, value, f, wire)
         elif isinstance(wire, BoolWire):
-            self._put(bits, value, wire.size[0], bias=0 if wire.is_required else -1)
+            bits.put(value, wire.size[0], bias=0 if wire.is_required else -1)
         elif isinstance(wire, EnumWire):
-            self._put(bits, f"{self._enum_table(wire)}[{value}]", wire.numeric.bits)
+            bits.put(f"{self._enum_table(wire)}[{value}]", wire.numeric.bits)
         elif isinstance(wire, TextWire):
             self._text(bits, value, f, wire)
         elif isinstance(wire, HashWire):
-            self._put(bits, str(self._hash & ((1 << wire.bits) - 1)), wire.bits)
+            bits.put(str(self._hash & ((1 << wire.bits) - 1)), wire.bits)
 
-    def _number(self, bits: _Bits, value: str, f: Field, wire: NumberWire | TimeWire) -> None:
+    def _number(self, bits: BitWriter, value: str, f: Field, wire: NumberWire | TimeWire) -> None:
         n = wire.numeric
         if isinstance(wire, TimeWire):
             time = self.source.name("t")
             self.source.line(f"{time} = fmod({value} / {wire.conversion!r}, {float(wire.window_s)!r})")
             value = time
         if not n.is_affine:
-            self._put(bits, f"{self._limits(f)}.wire({value}, deviations)", n.bits)
+            bits.put(f"{self._limits(f)}.wire({value}, deviations)", n.bits)
             return
         index = self.source.name("k")
         self.source.line(f"{index} = {_index_of(value, wire)}")
         if n.is_float or (n.lowest, n.highest) != type_bounds(n.number_type):
             with self.source.block(f"if not {n.lowest} <= {index} <= {n.highest}:"):
                 self.source.line(f"{index} = {self._limits(f)}.index({value}, deviations)")
-        self._put(bits, index, n.bits, bias=n.origin - n.offset)
+        bits.put(index, n.bits, bias=n.origin - n.offset)
 
-    def _text(self, bits: _Bits, value: str, f: Field, wire: TextWire) -> None:
+    def _text(self, bits: BitWriter, value: str, f: Field, wire: TextWire) -> None:
         content = self.source.name("b")
         limits = self.source.constant("limits", TextLimits(f.path, wire.max_length, self._policy.is_strict))
         self.source.line(f"{content} = {value}")
@@ -273,9 +259,9 @@ class _EncoderPlan:
         with self.source.block(f"if len({content}) > {wire.max_length}:"):
             self.source.line(f"{content} = {limits}.cut({content}, deviations)")
         if wire.is_fixed:
-            self._put(bits, f"from_bytes({content}, 'little')", 8 * wire.max_length)
+            bits.put(f"from_bytes({content}, 'little')", 8 * wire.max_length)
             return
-        self._vary(bits)
+        bits.vary()
         packed = f"len({content}) | from_bytes({content}, 'little') << {wire.prefix_bits}"
         self.source.line(f"{bits.value} += ({packed}) << {bits.size}")
         self.source.line(f"{bits.size} += {wire.prefix_bits} + 8 * len({content})")
@@ -306,27 +292,27 @@ class _EncoderPlan:
             self.source.line(f"{count} = len({values})")
         return values, count
 
-    def _count_prefix(self, bits: _Bits, count: str, f: Field) -> None:
+    def _count_prefix(self, bits: BitWriter, count: str, f: Field) -> None:
         if f.count_bits:
-            self._put(bits, f"max({count}, {f.min_repeat})" if f.min_repeat else count, f.count_bits,
+            bits.put(f"max({count}, {f.min_repeat})" if f.min_repeat else count, f.count_bits,
                       bias=f.min_repeat or 0)  # fmt: skip
 
-    def _fill_up(self, bits: _Bits, count: str, f: Field) -> None:
+    def _fill_up(self, bits: BitWriter, count: str, f: Field) -> None:
         least = (f.max_repeat if f.is_padded else f.min_repeat) or 0
         unset_bits = f.element_size[0]
         if least and unset_bits:
             with self.source.block(f"if {count} < {least}:"):
                 self.source.line(f"{bits.size} += ({least} - {count}) * {unset_bits}")
 
-    def _array(self, bits: _Bits, values: str, count: str, f: Field) -> None:
+    def _array(self, bits: BitWriter, values: str, count: str, f: Field) -> None:
         packed = self._packed(values, count, f)
         width = f.element_size[0]
         high, low = f.max_repeat or 0, f.min_repeat or 0
         self._count_prefix(bits, count, f)
         if f.is_padded or low == high:
-            self._put(bits, packed, high * width)
+            bits.put(packed, high * width)
             return
-        self._vary(bits)
+        bits.vary()
         self.source.line(f"{bits.value} += {packed} << {bits.size}")
         length = f"max({count}, {low})" if low else count
         self.source.line(f"{bits.size} += {length} * {width}")
@@ -360,67 +346,6 @@ class _EncoderPlan:
             return packed
         biases = tuple(bias * ones(width, n) for n in range(high + 1))
         return f"({packed} - {self.source.constant('bias', biases)}[{count}])"
-
-    # BITS
-
-    def _new_bits(self) -> _Bits:
-        return _Bits(self.source.name("a"), self.source.name("s"))
-
-    def _put(self, bits: _Bits, value: str, width: int, bias: int = 0) -> None:
-        """Append an integer of `width` bits, less a constant bias."""
-        if width == 0:
-            return
-        if bits.pending + width > _PIECE_BITS:
-            self._flush(bits)
-        bits.pieces.append(f"({value} << {bits.pending})" if bits.pending else value)
-        bits.bias += bias << bits.pending
-        bits.pending += width
-
-    def _skip(self, bits: _Bits, width: int) -> None:
-        bits.pending += width
-
-    def _flush(self, bits: _Bits) -> None:
-        if bits.pieces:
-            value = " + ".join(bits.pieces)
-            if bits.bias:
-                value = f"{value} - {bits.bias}"
-            shift = bits.size if bits.at is None else bits.at
-            shifted = f"({value}) << {shift}" if shift else f"{value}"
-            self.source.line(f"{bits.value} {'+=' if bits.is_assigned else '='} {shifted}")
-            bits.is_assigned = True
-        if bits.at is None:
-            if bits.pending:
-                self.source.line(f"{bits.size} += {bits.pending}")
-        else:
-            bits.at += bits.pending
-        bits.pieces, bits.bias, bits.pending = [], 0, 0
-
-    def _vary(self, bits: _Bits) -> None:
-        """From here on the size is a variable."""
-        self._flush(bits)
-        if bits.at is not None:
-            self.source.line(f"{bits.size} = {bits.at}")
-            bits.at = None
-        if not bits.is_assigned:
-            self.source.line(f"{bits.value} = 0")
-            bits.is_assigned = True
-
-    def _finish(self, bits: _Bits, is_fixed: bool) -> None:
-        """Let the variables hold what has been put. is_fixed: nobody will read the size."""
-        self._flush(bits)
-        if not bits.is_assigned:
-            self.source.line(f"{bits.value} = 0")
-            bits.is_assigned = True
-        if not is_fixed:
-            self._vary(bits)
-
-    def _append(self, bits: _Bits, inner: _Bits, width: int | None) -> None:
-        if width is not None:
-            self._put(bits, inner.value, width)
-            return
-        self._vary(bits)
-        self.source.line(f"{bits.value} += {inner.value} << {bits.size}")
-        self.source.line(f"{bits.size} += {inner.size}")
 
 
 def _index_of(value: str, wire: NumberWire | TimeWire) -> str:

@@ -94,8 +94,9 @@ class NumberLimits:
         wire = None if is_nan else numeric.wire(value)
         if wire is not None:
             return wire
-        if self._treatment != "dccl" and numeric.minimum <= value <= numeric.maximum:
-            # Its own rounding has put it outside: a bound of which DCCL says that it exceeds itself.
+        low, high = numeric.type_range
+        if self._treatment != "dccl" and low <= value <= high:
+            # Rounding has put it outside: a bound of which DCCL says that it exceeds itself.
             deviations.add(path, value, "rounded to its nearest bound")
             return numeric.clamp(value)
         if self._treatment == "raise":

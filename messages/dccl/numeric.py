@@ -94,6 +94,13 @@ class Numeric:
         """The greatest integer that an encoder sends."""
         return self.last - self.origin + self.offset
 
+    @property
+    def type_range(self) -> tuple[float, float]:
+        """The bounds as values of the field's type: what somebody who sets a bound has set."""
+        if self.number_type == "float":
+            return to_float32(self.minimum), to_float32(self.maximum)
+        return self.minimum, self.maximum
+
     def wire(self, value: float) -> int | None:
         """The integer on the wire; None where the value is out of range. NaN is sent as the minimum."""
         if value != value:

@@ -82,7 +82,7 @@ def test_a_value_within_the_bounds_is_not_refused_for_the_bound_s_own_rounding()
     # 0.05f is above 0.05, so that DCCL calls its own maximum out of range (its issue 149).
     tight = declare(number("f", 0, 0.05, "float", precision=2), number("d", -180, 180, precision=9))
     codec = Codec(tight)
-    back: Any = codec.decode(codec.encode(tight(f=0.0499999, d=-180)))
+    back: Any = codec.decode(codec.encode(tight(f=0.05, d=-180)))
     assert back.f == pytest.approx(0.05)
     assert back.d == pytest.approx(-180)
 
