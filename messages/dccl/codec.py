@@ -155,6 +155,11 @@ class Codec(Generic[M]):
             use.begin()
 
     def _encode_into(self, message: M, deviations: Deviations) -> bytes:
+        if message.__class__ is not self.message_type:
+            given = message.DESCRIPTOR.full_name if isinstance(message, ProtobufMessage) else repr(message)
+            raise EncodeError(
+                f"{given} is not a message of the class that this codec has: {self.schema.name}"
+            )
         if not message.IsInitialized():
             missing = ", ".join(message.FindInitializationErrors())  # type: ignore[attr-defined]
             raise EncodeError(f"{self.schema.name} misses required fields: {missing}")

@@ -58,13 +58,13 @@ class _DecoderPlan:
         line = self.source.line
         line("size = len(data)")
         with self.source.block(f"if size < {schema.min_bytes}:"):
-            line(f"raise DecodeError(f'{{size}} bytes are fewer than the least size of {schema.name},"
-                 f" {schema.min_bytes}')")  # fmt: skip
+            least = f"the least size of {schema.name}, {schema.min_bytes}"
+            line(f"raise DecodeError(f'{{size}} bytes are fewer than {least}')")
         line(f"x = from_bytes(data[:{schema.max_bytes}], 'little')")
         if schema.id_bits:
             with self.source.block(f"if {self._bits.read(schema.id_bits)} != {schema.id_wire}:"):
-                line(f"raise DecodeError('the first bytes are not the id of {schema.name},"
-                     f" {schema.options.message_id}')")  # fmt: skip
+                expected = f"the id of {schema.name}, {schema.options.message_id}"
+                line(f"raise DecodeError('the first bytes are not {expected}')")
         line("root = new()")
         self._message("root", schema.head)
         self._bits.jump(8 * schema.head_bytes)

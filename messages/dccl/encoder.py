@@ -294,8 +294,8 @@ class _EncoderPlan:
 
     def _count_prefix(self, bits: BitWriter, count: str, f: Field) -> None:
         if f.count_bits:
-            bits.put(f"max({count}, {f.min_repeat})" if f.min_repeat else count, f.count_bits,
-                      bias=f.min_repeat or 0)  # fmt: skip
+            low = f.min_repeat or 0
+            bits.put(f"max({count}, {low})" if low else count, f.count_bits, bias=low)
 
     def _fill_up(self, bits: BitWriter, count: str, f: Field) -> None:
         least = (f.max_repeat if f.is_padded else f.min_repeat) or 0

@@ -24,7 +24,7 @@ class Deviation:
 
 @dataclass(slots=True)
 class Deviations:
-    """Collects the deviations of one message, or counts them over many."""
+    """Collects the deviations of one message."""
 
     found: list[Deviation]
 

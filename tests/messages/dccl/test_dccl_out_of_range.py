@@ -118,6 +118,11 @@ def test_a_missing_required_field_is_named() -> None:
         Codec(T).encode(T())
 
 
+def test_a_message_of_another_class_is_refused() -> None:
+    with pytest.raises(EncodeError, match=r"test\.T is not a message of the class that this codec has"):
+        Codec(T).encode(declare(number("need", -1, 1))(need=0))
+
+
 def test_a_wire_integer_beyond_the_bounds_is_refused() -> None:
     codec = Codec(declare(number("x", 0, 5, "int32")))
     assert [codec.decode(bytes([10, x])).x for x in range(6)] == [0, 1, 2, 3, 4, 5]  # type: ignore[attr-defined]
