@@ -146,10 +146,11 @@ class ReceiptFrame:
 
 @dataclass(frozen=True, slots=True)
 class SkipFrame:
-    """Reliable messages of a topic before this number will not come any more."""
+    """Reliable messages of a topic before this number will not come any more. name: as in a message."""
 
     topic_id: int
     number: int
+    name: TopicName | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,9 +216,7 @@ def append_message(out: bytearray, frame: MessageFrame) -> None:
     if frame.reliable:
         append_varint(out, frame.back)
     if frame.name is not None:
-        _append_text(out, frame.name.key)
-        _append_text(out, frame.name.encoding)
-        append_varint(out, frame.name.ttl_ms)
+        _append_name(out, frame.name)
     if not whole:
         append_varint(out, frame.offset)
         if frame.shares_needed:
@@ -273,9 +272,11 @@ def append_receipt(out: bytearray, frame: ReceiptFrame) -> None:
 
 def append_skip(out: bytearray, frame: SkipFrame) -> None:
     """Write which reliable messages will not come any more."""
-    out.append(_SKIP)
+    out.append(_SKIP | (_NAMED if frame.name is not None else 0))
     append_varint(out, frame.topic_id)
     out += _NUMBER.pack(frame.number & 0xFFFF)
+    if frame.name is not None:
+        _append_name(out, frame.name)
 
 
 def append_ledger(out: bytearray, frame: LedgerFrame) -> None:
@@ -303,6 +304,12 @@ def decode_datagram(data: bytes) -> tuple[Header, list[Frame]]:
         frame, at = _READERS[data[at] & _TYPE_MASK](data, at)
         frames.append(frame)
     return header, frames
+
+
+def _append_name(out: bytearray, name: TopicName) -> None:
+    _append_text(out, name.key)
+    _append_text(out, name.encoding)
+    append_varint(out, name.ttl_ms)
 
 
 def _append_text(out: bytearray, text: str) -> None:
@@ -439,8 +446,14 @@ def _read_receipt(data: bytes, at: int) -> tuple[Frame, int]:
 
 
 def _read_skip(data: bytes, at: int) -> tuple[Frame, int]:
+    kind = data[at]
     topic_id, at = read_varint(data, at + 1)
-    return SkipFrame(topic_id, _unpack(_NUMBER, data, at)[0]), at + _NUMBER.size
+    (number,) = _unpack(_NUMBER, data, at)
+    at += _NUMBER.size
+    name = None
+    if kind & _NAMED:
+        name, at = _read_name(data, at)
+    return SkipFrame(topic_id, number, name), at
 
 
 def _read_ledger(data: bytes, at: int) -> tuple[Frame, int]:

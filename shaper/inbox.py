@@ -76,22 +76,33 @@ class ReliableInbox:
 
         back: how many numbers before this one the oldest is that may still come.
         """
-        number = self._expand(message.number, back)
-        if self._next is None:
-            self._next = number - back
+        number = self._expand(message.number)
+        never = self._begin(number - back)
         held_bytes = sum(len(waiting.payload) for waiting in self._waiting.values())
         if self._next <= number < self._next + 2 * MAX_OUTSTANDING and held_bytes < self._max_bytes:
             self._waiting.setdefault(number, message)
-        return self._advance(number - back)
+        ready, missed = self._advance(number - back)
+        return ready, never + missed
 
     def skip(self, low_bits: int) -> tuple[list[Arrived], list[int]]:
         """Numbers before this one will not come; what can be delivered now, and those numbers."""
-        if self._next is None:
-            self._next = low_bits
-            return [], []
-        return self._advance(expand(low_bits, MESSAGE_NUMBER_BITS, self._next))
+        number = self._expand(low_bits)
+        never = self._begin(number)
+        ready, missed = self._advance(number)
+        return ready, never + missed
 
-    def _expand(self, low_bits: int, back: int) -> int:
+    def _begin(self, number: int) -> list[int]:
+        """Wait for this number if nothing has come before; the numbers that never will.
+
+        A sender whose first messages all expired on the way waits to hear that they did not come. More
+        than it may have outstanding were settled with a former life of ours.
+        """
+        if self._next is not None:
+            return []
+        self._next = number
+        return list(range(number)) if number <= MAX_OUTSTANDING else []
+
+    def _expand(self, low_bits: int) -> int:
         return low_bits if self._next is None else expand(low_bits, MESSAGE_NUMBER_BITS, self._next)
 
     def _advance(self, floor: int) -> tuple[list[Arrived], list[int]]:

@@ -161,8 +161,8 @@ class Incoming:
 
     def on_skip(self, frame: SkipFrame, now_ns: int) -> list[Delivered]:
         """Reliable messages will not come; those that waited for them can be delivered."""
-        topic = self._topics.get(frame.topic_id)
-        if topic is None or not topic.accepted:
+        topic = self._topic_of(frame)
+        if topic is None:
             return []
         ready, missed = self._inbox(topic, ReliableInbox).skip(frame.number)
         return self._deliver_reliable(frame.topic_id, ready, missed, now_ns)
@@ -232,7 +232,7 @@ class Incoming:
             return ReliableInbox(self._limits.max_reassembly_bytes)
         return StateInbox(self._limits.max_message_bytes)
 
-    def _topic_of(self, frame: MessageFrame) -> InTopic | None:
+    def _topic_of(self, frame: MessageFrame | SkipFrame) -> InTopic | None:
         topic = self._topics.get(frame.topic_id)
         if frame.name is not None:
             if topic is None and len(self._topics) < self._limits.max_topics:

@@ -178,7 +178,7 @@ class Outgoing:
             if queue is None:
                 break
             if isinstance(queue, ReliableQueue) and queue.skip_due:
-                if len(out) + _SKIP_BYTES > opportunity.limit_bytes:
+                if len(out) + _SKIP_BYTES + MAX_NAME_BYTES > opportunity.max_bytes:
                     break
                 contents += self._append_skip(out, queue)
                 continue
@@ -306,11 +306,8 @@ class Outgoing:
         append_message(out, frame)
 
     def _append_skip(self, out: bytearray, queue: ReliableQueue) -> list[Content]:
-        queue.skip_due = False
-        topic_id = next((i for i in self._confirmed if self._queue_of_id[i] is queue), None)
-        if topic_id is None:  # the peer has never heard of the topic: it waits for nothing
-            return []
-        append_skip(out, SkipFrame(topic_id, queue.first_outstanding()))
+        topic_id, name = self._identify(queue, queue.encoding)
+        append_skip(out, SkipFrame(topic_id, queue.take_skip(), name))
         return [SentSkip(queue)]
 
     def _overhead_bytes(self, queue: TopicQueue, departure: Departure, now_ns: int) -> int:

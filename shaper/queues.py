@@ -179,8 +179,7 @@ class TopicQueue:
     def sent(self, piece: Piece, count: int) -> Content | None:
         """`count` bytes of the piece have left in a datagram; what wants to know of its fate."""
         departure = piece.departure
-        if not departure.begun:
-            self.next_number += 1
+        self.next_number = departure.number + 1
         if departure.shares:
             departure.sent_shares += 1
         else:

@@ -51,7 +51,7 @@ class SentSkip:
 class ReliableQueue(TopicQueue):
     """A FIFO whose messages are kept until the peer has said what became of them."""
 
-    __slots__ = ("_abandoned", "_again", "_on_receipt", "outstanding", "skip_due")
+    __slots__ = ("_abandoned", "_again", "_on_receipt", "_skipped_to", "encoding", "outstanding", "skip_due")
 
     def __init__(
         self,
@@ -64,6 +64,8 @@ class ReliableQueue(TopicQueue):
         self.outstanding: dict[int, Departure] = {}
         self._abandoned: dict[int, int] = {}  # number: tag; given up, the receiver's word is awaited
         self.skip_due = False  # the receiver has to be told that numbers will not come
+        self._skipped_to = 0  # it was told that none before this will
+        self.encoding = ""  # of the newest message
         self._again: deque[tuple[int, int, int]] = deque()  # (number, offset, count) to be repeated
         self._on_receipt = on_receipt
 
@@ -93,6 +95,7 @@ class ReliableQueue(TopicQueue):
         departure = super().depart(now_ns)
         if departure is not None:
             self.outstanding[departure.number] = departure
+            self.encoding = departure.encoding
         return departure
 
     def expired(self, tag: int) -> None:
@@ -129,6 +132,12 @@ class ReliableQueue(TopicQueue):
         self.skip_due = True
         self.wake(self)
 
+    def take_skip(self) -> int:
+        """The number before which none will come."""
+        self.skip_due = False
+        self._skipped_to = self.first_outstanding()
+        return self._skipped_to
+
     def first_outstanding(self) -> int:
         """The oldest number that may still come."""
         return next(iter(self.outstanding), self.next_number)
@@ -143,6 +152,9 @@ class ReliableQueue(TopicQueue):
             self._on_receipt(Receipt(self.key, tag, ReceiptStage.DELIVERED))
         else:
             self.expired(tag)
+        first = self.first_outstanding()
+        if any(self._skipped_to <= number < first for number in self._abandoned):
+            self.skip()  # some were given up behind this one
         if not self.empty:
             self.wake(self)  # the window has room again
 
@@ -151,13 +163,29 @@ class ReliableQueue(TopicQueue):
         for tag in self._abandoned.values():
             self.expired(tag)  # nobody is left who could say otherwise
         self._abandoned.clear()
-        self.departing = None
-        self._again = deque((n, 0, len(d.data)) for n, d in self.outstanding.items())
-        for number, departure in self.outstanding.items():
-            departure.offset = len(departure.data)
-            self.next_number = max(self.next_number, number + 1)
-        if self._again:
+        self.skip_due = False
+        self._close_gaps()
+        if self.departing is not None:
+            self.departing.offset = 0
+        self._again = deque(
+            (number, 0, len(departure.data))
+            for number, departure in self.outstanding.items()
+            if departure is not self.departing
+        )
+        if not self.empty:
             self.wake(self)
+
+    def _close_gaps(self) -> None:
+        """Number what is outstanding anew if some between were settled: the new peer would wait for them."""
+        numbers = list(self.outstanding)
+        if not numbers or numbers[-1] - numbers[0] == len(numbers) - 1:
+            return
+        start = max(self.next_number, numbers[-1] + 1)
+        departures = list(self.outstanding.values())
+        for number, departure in enumerate(departures, start):
+            departure.number = number
+        self.outstanding = {departure.number: departure for departure in departures}
+        self.next_number = departures[-1].number + 1
 
     def _expire_outstanding(self, now_ns: int) -> None:
         ttl_ns = self.rule.traffic_class.ttl_ns

@@ -6,12 +6,12 @@ nothing can work by accident of agreeing clocks. Datagrams are underway for the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from shaper.datagram import Frame, Header, decode_datagram
 from shaper.endpoint import Endpoint, EndpointSettings, pump
-from shaper.events import Delivered, Event, LinkState, PeerStarted
+from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt
 from shaper.incoming import Limits
 from shaper.link_estimator import LinkEstimator, PresetBand, PresetBands
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
@@ -43,6 +43,7 @@ class Side:
     events: list[Event] = field(default_factory=list)
     wakeup_ns: int = 0  # true time
     loses: Callable[[bytes], bool] = lambda datagram: False
+    copies: Callable[[], tuple[int, ...]] = lambda: (0,)  # extra delay of each copy of the next datagram
 
     def local_ns(self, true_ns: int) -> int:
         return true_ns + self.offset_ns
@@ -54,6 +55,14 @@ class Side:
     @property
     def payloads(self) -> list[bytes]:
         return [e.payload for e in self.delivered]
+
+    @property
+    def receipts(self) -> list[Receipt]:
+        return [e for e in self.events if isinstance(e, Receipt)]
+
+    def stages(self, tag: int) -> list[str]:
+        """What was told of a reliable message, in order."""
+        return [e.stage.value for e in self.receipts if e.tag == tag]
 
     @property
     def peer_starts(self) -> list[PeerStarted]:
@@ -83,13 +92,14 @@ class Pair:
         rules: tuple[TopicRule, ...] = RULES,
         accept: tuple[str, ...] = ("**",),
         limits: Limits | None = None,
+        guaranteed: Mapping[int, float] | None = None,
         robot_offset_ns: int = 3 * HOUR,
         operator_offset_ns: int = 7 * HOUR + 123_456_789,
         met: bool = True,
     ) -> None:
         self.now_ns = 0
         self._bands = bands
-        self._settings = EndpointSettings(rules, accept, limits=limits or Limits())
+        self._settings = EndpointSettings(rules, accept, limits=limits or Limits(), guaranteed=guaranteed or {})
         self._epochs = 100
         delay_ns = bands[0].one_way_delay_ns if delay_ns is None else delay_ns
         self.robot = Side(self._start(robot_offset_ns), robot_offset_ns, delay_ns)
@@ -108,11 +118,12 @@ class Pair:
         *,
         age_ns: int = 0,
         encoding: str = "",
+        tag: int = 0,
         pumped: bool = True,
     ) -> bool:
         """A publisher on this side has a message, captured `age_ns` ago."""
         now_ns = side.local_ns(self.now_ns)
-        more = side.endpoint.offer(key, payload, now_ns - age_ns, now_ns, encoding)
+        more = side.endpoint.offer(key, payload, now_ns - age_ns, now_ns, encoding, tag)
         if pumped:
             self.pump(side)
         return more
@@ -162,7 +173,8 @@ class Pair:
         def send(datagram: bytes) -> None:
             side.sent.append((self.now_ns, datagram))
             if not side.loses(datagram):
-                side.underway.append((self.now_ns + side.delay_ns, datagram))
+                for extra_ns in side.copies():
+                    side.underway.append((self.now_ns + side.delay_ns + extra_ns, datagram))
 
         wakeup_ns = pump(side.endpoint, side.local_ns(self.now_ns), send, side.events.append)
         side.wakeup_ns = wakeup_ns - side.offset_ns

@@ -159,6 +159,7 @@ GOLDEN_DATAGRAMS: dict[str, tuple[Header, list[Frame]]] = {
         [ReceiptFrame(0xCAFE, ((2, 300, Outcome.DELIVERED), (300, 65535, Outcome.EXPIRED)))],
     ),
     "skip": (HEADER, [SkipFrame(2, 302)]),
+    "skip, named": (HEADER, [SkipFrame(2, 302, TopicName("a", "", 500))]),
     "ledger, sent half": (HEADER, [LedgerFrame(0xBEEF, True, ((3, (600, 0, 12, 1, 0, 587, 93_920, 160)),))]),
     "ledger, received half": (
         HEADER,

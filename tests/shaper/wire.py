@@ -92,7 +92,7 @@ FRAMES = st.one_of(
     st.builds(HelloFrame, st.integers(-(1 << 63), (1 << 63) - 1)),
     st.builds(KnownFrame, U16, st.lists(VARINT, max_size=10).map(tuple)),
     st.builds(ReceiptFrame, U16, RECEIPTS),
-    st.builds(SkipFrame, VARINT, U16),
+    st.builds(SkipFrame, VARINT, U16, NAMES),
     ledger_frames(),
 )
 DATAGRAMS = st.tuples(HEADERS, st.lists(FRAMES, max_size=4))
