@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-MODULES = ("bench.mission",)
+MODULES = ("bench.mission", "bench.codec", "bench.ingest")
 
 
 def main() -> int:

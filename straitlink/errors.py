@@ -5,6 +5,7 @@ from __future__ import annotations
 
 def user_errors() -> tuple[type[Exception], ...]:
     """The base classes of the packages' own errors; imported only when something was raised."""
+    from messages.dccl import DcclError
     from netem_scripts.band import ProfileError
     from netem_scripts.udp_proxy import ProxyError
     from perception_server.overview import ViewError
@@ -19,6 +20,7 @@ def user_errors() -> tuple[type[Exception], ...]:
 
     return (
         ShaperError,
+        DcclError,
         BusError,
         UdpError,
         MetricsError,
