@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -108,9 +109,14 @@ def hold(arguments: Sequence[str], prepare: Callable[[Sequence[str]], int | None
     if channel.recv(16) != _GO:
         return 1
     channel.close()
+    alive, ours = os.pipe()  # the first process cannot see our id: it hears of our death by the pipe's end
     first = os.fork()
     if first == 0:
+        os.close(ours)
         die_with_parent(None)
+        if select.select([alive], [], [], 0)[0]:
+            os._exit(1)
+        os.close(alive)
         os._exit(_first_process(arguments[split + 1 :]))
     signal.signal(signal.SIGTERM, lambda *_: os.kill(first, signal.SIGTERM))
     return exit_code(os.waitpid(first, 0)[1])

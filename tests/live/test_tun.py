@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
@@ -207,6 +208,21 @@ def test_nothing_is_left_whichever_part_is_killed(victim: str, number: signal.Si
         assert sorted(os.listdir("/sys/class/net")) == devices
         expected = -number if (victim, number) == ("link", signal.SIGKILL) else 128 + number
         assert code == expected
+    finally:
+        for pid in run.processes():
+            os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("after_ms", range(0, 1000, 125))
+def test_nothing_is_left_of_a_link_that_is_killed_while_it_starts(after_ms: int) -> None:
+    before = all_networks()
+    run = Run(command("trials", ["sleep", "61"], ["sleep", "62"]))
+    try:
+        time.sleep(after_ms / 1000)
+        run.process.kill()
+        run.process.wait()
+        wait_until(lambda: not run.processes(), 5.0)
+        assert all_networks() <= before
     finally:
         for pid in run.processes():
             os.kill(pid, signal.SIGKILL)

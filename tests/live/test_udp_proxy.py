@@ -155,6 +155,27 @@ def test_replies_come_back_from_the_port_that_was_sent_to_and_a_restart_is_follo
     assert (report.down.sent, report.up.sent) == (1, 2)
 
 
+def test_a_corrupted_datagram_arrives_with_one_bit_flipped_and_a_large_one_does_not() -> None:
+    band = Band(60_000 * MS, 10_000_000, 0, corrupt_ratio=1.0)
+    direction = DirectionProfile((band,), mtu_bytes=128)
+    arrived: list[bytes] = []
+
+    with ends() as at:
+
+        async def talk() -> None:
+            at.operator.sendto(b"here I am", at.operator_side)
+            await asyncio.sleep(0.05)
+            for size in (101, 100, 50):
+                at.robot.sendto(bytes(size), at.robot_side)
+            for _ in range(2):
+                arrived.append(await received(at.operator))
+
+        report = through_proxy(at, Profile("noisy", direction, direction), talk)
+    assert [len(data) for data in arrived] == [100, 50]
+    assert all(int.from_bytes(data, "big").bit_count() == 1 for data in arrived)
+    assert (report.down.received, report.down.dropped_by_link, report.down.corrupted) == (3, 1, 2)
+
+
 def test_each_band_change_is_told_at_its_instant_once_per_direction() -> None:
     cycle = (Band(40 * MS, 1_000_000, 0), Band(60 * MS, 100_000, 0))
     records: list[BandRecord] = []
