@@ -55,9 +55,10 @@ _CONFIRMATIONS_PER_DATAGRAM = 32  # topics or messages at a time; more wait for 
 _PROBE_INTERVAL_NS = 100_000_000
 _PROBE_SHARE = 0.05  # and never more than this share of the rate
 _PROBE_WIRE_BYTES = 47
-# After so long without a datagram from the peer, heartbeats too leave only at that share: where a blackout
-# holds the queue, all that was sent into it comes before anything new.
+# After so long without a datagram from the peer, heartbeats too leave only at a share of the rate: where a
+# blackout holds the queue, all that was sent into it comes before anything new (30 s of it: 0.9 s of link).
 _SILENCE_NS = 3_000_000_000
+_TRICKLE_SHARE = 0.03
 _TRICKLE_WIRE_BYTES = 110
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 _RETIRED_EPOCHS = 8  # former lives of the peer whose late datagrams are recognised
@@ -345,7 +346,7 @@ class Endpoint:
         """When the next datagram may leave although nothing comes back: what a held queue would add up."""
         if self._incoming is None or self._last_sent_ns - self._last_heard_ns < _SILENCE_NS:
             return _ANY_TIME_NS
-        share_ns = int(_TRICKLE_WIRE_BYTES * 8 * NS_PER_S / (_PROBE_SHARE * self._estimator.rate_bps))
+        share_ns = int(_TRICKLE_WIRE_BYTES * 8 * NS_PER_S / (_TRICKLE_SHARE * self._estimator.rate_bps))
         return self._last_sent_ns + max(_PROBE_INTERVAL_NS, share_ns)
 
     def _probe_at_ns(self) -> int | None:

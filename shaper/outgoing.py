@@ -76,6 +76,7 @@ class Outgoing:
         self._ids: dict[TopicName, int] = {}
         self._queue_of_id: list[TopicQueue] = []
         self._confirmed: set[int] = set()
+        self._awaiting: dict[TopicQueue, None] = {}  # that may await an outcome; looked at when asked
         self._has_pull_topics = any(rule.pull for rule in rules)
         for rule in rules:
             if rule.pull:
@@ -124,10 +125,12 @@ class Outgoing:
     @property
     def awaits_outcomes(self) -> bool:
         """Whether anything has left of which the peer must still say what became of it."""
-        return any(
-            isinstance(queue, ReliableQueue | ChangesQueue) and queue.awaits_outcome
-            for queue in self.queues()
-        )
+        while self._awaiting:
+            queue = next(iter(self._awaiting))
+            if isinstance(queue, ReliableQueue | ChangesQueue) and queue.awaits_outcome:
+                return True
+            del self._awaiting[queue]
+        return False
 
     def wants_at_ns(self) -> int | None:
         """When the next item of a pull topic falls due."""
@@ -201,6 +204,7 @@ class Outgoing:
             content = queue.sent(piece, count)
             if content is not None:
                 contents.append(content)
+                self._awaiting[queue] = None
             frame_bytes = len(out) - before
             self.scheduler.on_sent(queue, frame_bytes)
             self.demand.on_sent(queue.rule.traffic_class.tier, frame_bytes, opportunity.now_ns)

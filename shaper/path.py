@@ -124,6 +124,7 @@ class Path:
         self._in_flight: deque[SentPacket] = deque()
         self._missing: dict[int, SentPacket] = {}  # in flight no more, but not known to have arrived
         self._largest = -1
+        self._judged_lost: dict[int, SentPacket] = {}  # lately; what was only late may yet be reported
         self._counts_from = 0  # what left before the peer was there is lost, but says nothing of the link
 
     def on_sent(self, wire_bytes: int, now_ns: int, contents: tuple[Content, ...] = ()) -> SentPacket:
@@ -142,6 +143,7 @@ class Path:
         """The peer counts anew; what was in flight to its former self is gone."""
         self._in_flight.clear()
         self._missing.clear()
+        self._judged_lost.clear()
         self.bytes_in_flight = 0
         self.reported = False
 
@@ -196,6 +198,7 @@ class Path:
     def _judge_missing(self, largest: int, arrivals: dict[int, int], arrived: bytes, now_ns: int) -> None:
         """Arrived, lost, or too early to say."""
         bits = int.from_bytes(arrived, "little") if arrived else (1 << ARRIVED_BITS) - 1
+        self._take_back(largest, bits)
         patience_ns = max(self.smoothed_rtt_ns, self.rtt_ns or 0) * 9 // 8
         for number, sent in list(self._missing.items()):
             behind = largest - number
@@ -209,7 +212,20 @@ class Path:
                 del self._missing[number]
                 if number >= self._counts_from:
                     self.loss_ratio += (1.0 - self.loss_ratio) / _LOSS_WINDOW_PACKETS
+                    self._judged_lost[number] = sent
                 self._lose(sent)
+
+    def _take_back(self, largest: int, bits: int) -> None:
+        """What was judged lost and has come after all is no loss of the link."""
+        for number, sent in list(self._judged_lost.items()):
+            behind = largest - number
+            if behind > ARRIVED_BITS:
+                del self._judged_lost[number]
+            elif bits >> behind - 1 & 1:
+                del self._judged_lost[number]
+                self.loss_ratio = max(0.0, self.loss_ratio - 1.0 / _LOSS_WINDOW_PACKETS)
+                self.lost_packets -= 1
+                self.lost_bytes -= sent.wire_bytes
 
     def _lose(self, sent: SentPacket) -> None:
         self.lost_packets += 1

@@ -41,7 +41,7 @@ class Scheduler:
     def __init__(self, guaranteed: Mapping[int, float] | None = None) -> None:
         self._guaranteed = {t: round(s * _PER_MILLION) for t, s in (guaranteed or {}).items()}
         self._tiers: dict[int, _Tier] = {}
-        self._order: list[int] = []
+        self._ordered: list[_Tier] = []  # by number, without the emergency stop's
         self._arrivals = 0  # order of arrival, for equal virtual times
 
     def activate(self, queue: TopicQueue) -> None:
@@ -53,7 +53,7 @@ class Scheduler:
         tier = self._tiers.get(number)
         if tier is None:
             tier = self._tiers[number] = _Tier(self._guaranteed.get(number, 0))
-            self._order = sorted(self._tiers)
+            self._ordered = [t for n, t in sorted(self._tiers.items()) if n != EMERGENCY_TIER]
         self._line_up(tier, queue)
 
     def next_queue(
@@ -67,10 +67,12 @@ class Scheduler:
                 return queue
         if only_emergency:
             return None
-        for tier in (*self._owed(), *(self._tiers[number] for number in self._order)):
-            queue = self._head(tier, only_always_send)
-            if queue is not None:
-                return queue
+        tiers = [*self._owed(), *self._ordered] if self._guaranteed else self._ordered
+        for tier in tiers:
+            if tier.heap or tier.current is not None:
+                queue = self._head(tier, only_always_send)
+                if queue is not None:
+                    return queue
         return None
 
     def _owed(self) -> list[_Tier]:

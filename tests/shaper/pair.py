@@ -99,7 +99,9 @@ class Pair:
     ) -> None:
         self.now_ns = 0
         self._bands = bands
-        self._settings = EndpointSettings(rules, accept, limits=limits or Limits(), guaranteed=guaranteed or {})
+        self._settings = EndpointSettings(
+            rules, accept, limits=limits or Limits(), guaranteed=guaranteed or {}
+        )
         self._epochs = 100
         delay_ns = bands[0].one_way_delay_ns if delay_ns is None else delay_ns
         self.robot = Side(self._start(robot_offset_ns), robot_offset_ns, delay_ns)

@@ -1,6 +1,5 @@
 """Stories of two endpoints on a link that loses nothing unless told to."""
 
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

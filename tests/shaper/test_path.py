@@ -187,6 +187,18 @@ def test_one_that_was_overtaken_and_comes_has_arrived() -> None:
     assert path.loss_ratio == 0
 
 
+def test_one_that_was_only_late_is_no_loss_of_the_link() -> None:
+    path, clock, fate = Path(), PeerClock(), Fate([])
+    for i in range(6):
+        path.on_sent(100, i * MS, (fate,) if i == 1 else ())
+    path.on_report(report(0, 49 * MS, 0), peer_us(49 * MS), clock, 99 * MS)
+    path.on_report(report(4, 50 * MS, 0, missing={1}), peer_us(50 * MS), clock, 100 * MS)
+    assert path.loss_ratio > 0
+    path.on_report(report(5, 51 * MS, 0), peer_us(51 * MS), clock, 101 * MS)
+    assert (path.loss_ratio, path.lost_packets, path.lost_bytes) == (0, 0, 0)
+    assert fate.said == ["lost"]  # it was repeated; so be it
+
+
 def test_nine_eighths_of_a_round_trip_are_patience_enough_where_nothing_follows() -> None:
     path, clock, fate = Path(), PeerClock(), Fate([])
     for i in range(50):  # settle the round trip at 100 ms

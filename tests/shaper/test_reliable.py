@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shaper.datagram import MessageFrame, Outcome, SkipFrame
+from shaper.link_estimator import PresetBand
 from shaper.reliable import MAX_OUTSTANDING, ReliableQueue
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
-from shaper.link_estimator import PresetBand
 from tests.shaper.pair import FAST, MS, THIN, Pair, S, Side
 from tests.shaper.unreliable import FATES, suffer
 
