@@ -78,6 +78,7 @@ class ReliableInbox:
         """
         number = self._expand(message.number)
         never = self._begin(number - back)
+        assert self._next is not None, "waiting has begun"
         held_bytes = sum(len(waiting.payload) for waiting in self._waiting.values())
         if self._next <= number < self._next + 2 * MAX_OUTSTANDING and held_bytes < self._max_bytes:
             self._waiting.setdefault(number, message)
