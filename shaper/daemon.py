@@ -15,9 +15,9 @@ from pathlib import Path
 from messages.attachment import Stamp, decode_stamp
 from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
-from shaper.datagram import EPOCH_BITS, IP_UDP_BYTES
 from shaper.endpoint import Endpoint, pump
 from shaper.events import Delivered, Event, LinkState, Receipt, Wanted
+from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.link_estimator import PresetBands
 from shaper.metrics import MetricsServer
 from shaper.trace import TraceFile

@@ -12,16 +12,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 
 from shaper.datagram import (
-    HEADER_BYTES,
-    IP_UDP_BYTES,
-    Header,
-    HelloFrame,
-    KnownFrame,
-    LedgerFrame,
-    MessageFrame,
-    ReceiptFrame,
-    ReportFrame,
-    SkipFrame,
     append_hello,
     append_known,
     append_ledger,
@@ -32,6 +22,18 @@ from shaper.datagram import (
 )
 from shaper.errors import DecodeError
 from shaper.events import Event, LinkState, PeerStarted, Wanted
+from shaper.frames import (
+    HEADER_BYTES,
+    IP_UDP_BYTES,
+    Header,
+    HelloFrame,
+    KnownFrame,
+    LedgerFrame,
+    MessageFrame,
+    ReceiptFrame,
+    ReportFrame,
+    SkipFrame,
+)
 from shaper.incoming import Incoming, Limits
 from shaper.ledger import ReceivedLedger, SentLedger
 from shaper.ledger_exchange import LedgerExchange

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from shaper.datagram import MESSAGE_NUMBER_BITS, TopicName
+from shaper.frames import MESSAGE_NUMBER_BITS, TopicName
 from shaper.ledger import ReceivedLedger
 from shaper.reliable import MAX_OUTSTANDING
 from shaper.serial_number import ReceivedWindow, expand, expand_above

@@ -8,7 +8,10 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from shaper.compression import unpack
-from shaper.datagram import (
+from shaper.errors import DecodeError
+from shaper.events import Delivered
+from shaper.fragments import Reassembled, Reassembler
+from shaper.frames import (
     ARRIVED_BITS,
     NUMBER_BITS,
     Header,
@@ -21,9 +24,6 @@ from shaper.datagram import (
     SkipFrame,
     TopicName,
 )
-from shaper.errors import DecodeError
-from shaper.events import Delivered
-from shaper.fragments import Reassembled, Reassembler
 from shaper.inbox import Arrived, Inbox, InTopic, PlainInbox, ReliableInbox, StateInbox
 from shaper.key_expression import is_key, matches
 from shaper.ledger import ReceivedLedger

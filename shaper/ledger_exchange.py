@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from shaper.datagram import LedgerFrame
+from shaper.frames import LedgerFrame
 from shaper.incoming import Incoming
 from shaper.ledger import ReceivedLedger, SentLedger
 from shaper.outgoing import Outgoing

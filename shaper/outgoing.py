@@ -6,20 +6,10 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from shaper.datagram import (
-    HEADER_BYTES,
-    MAX_SHARES,
-    SHARE_OVERHEAD_BYTES,
-    MessageFrame,
-    Outcome,
-    SkipFrame,
-    TopicName,
-    append_message,
-    append_skip,
-    message_overhead_bytes,
-)
+from shaper.datagram import SHARE_OVERHEAD_BYTES, append_message, append_skip, message_overhead_bytes
 from shaper.demand import Demand, PullQueue
 from shaper.events import Receipt
+from shaper.frames import HEADER_BYTES, MAX_SHARES, MessageFrame, Outcome, SkipFrame, TopicName
 from shaper.key_expression import is_key
 from shaper.ledger import SentLedger
 from shaper.parity import encode_shares, repair_shares

@@ -10,8 +10,8 @@ from math import comb
 
 import zfec
 
-from shaper.datagram import MAX_SHARES
 from shaper.errors import DecodeError
+from shaper.frames import MAX_SHARES
 
 _NEGLIGIBLE_LOSS_RATIO = 0.002  # below this no parity is worth its bytes
 

@@ -6,8 +6,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
-from shaper.datagram import ARRIVED_BITS, NUMBER_BITS, STAMP_BITS, ReportFrame
 from shaper.errors import DecodeError
+from shaper.frames import ARRIVED_BITS, NUMBER_BITS, STAMP_BITS, ReportFrame
 from shaper.serial_number import expand
 
 _MAX_PACKETS_IN_FLIGHT = 1 << 16  # what a heartbeat sends in hours of silence; older ones are forgotten

@@ -12,8 +12,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from shaper.datagram import Outcome
 from shaper.events import Receipt, ReceiptStage
+from shaper.frames import Outcome
 from shaper.path import Content
 from shaper.queues import Departure, Payload, Piece, TopicQueue, Waiting
 from shaper.traffic_class import TopicRule

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 from messages.keyed_entries import REST, Entry, NotProtobufError, split_entries
 from shaper.compression import pack
-from shaper.datagram import Outcome
 from shaper.errors import DecodeError
+from shaper.frames import Outcome
 from shaper.path import Content
 from shaper.queues import Departure, Payload, Piece, TopicQueue
 from shaper.traffic_class import Compression, Entries, TopicRule

@@ -13,9 +13,9 @@ from netem_scripts.band import Band, DirectionProfile, Profile
 from netem_scripts.event_loop import EventLoop
 from netem_scripts.link import Link
 from netem_scripts.records import BandRecord, PacketRecord, StartRecord, event_of
-from shaper.datagram import IP_UDP_BYTES
 from shaper.endpoint import Endpoint, EndpointSettings, pump
 from shaper.events import Delivered, Event
+from shaper.frames import IP_UDP_BYTES
 from shaper.ledger import ReceivedLedger
 from shaper.link_estimator import PresetBand, PresetBands
 from shaper.trace_records import (

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from shaper.datagram import Frame, Header, decode_datagram
+from shaper.datagram import decode_datagram
 from shaper.endpoint import Endpoint, EndpointSettings, pump
 from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt
+from shaper.frames import Frame, Header
 from shaper.incoming import Limits
 from shaper.link_estimator import LinkEstimator, PresetBand, PresetBands
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule

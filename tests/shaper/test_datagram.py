@@ -7,8 +7,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from shaper.datagram import (
-    HEADER_BYTES,
     SHARE_OVERHEAD_BYTES,
+    append_message,
+    decode_datagram,
+    message_overhead_bytes,
+    write_header,
+)
+from shaper.errors import DecodeError
+from shaper.frames import (
+    HEADER_BYTES,
     Frame,
     Header,
     HelloFrame,
@@ -20,12 +27,7 @@ from shaper.datagram import (
     ReportFrame,
     SkipFrame,
     TopicName,
-    append_message,
-    decode_datagram,
-    message_overhead_bytes,
-    write_header,
 )
-from shaper.errors import DecodeError
 from tests.shaper.wire import DATAGRAMS, encode, message_frames
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "datagrams.json").read_text())

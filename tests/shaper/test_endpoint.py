@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaper.datagram import IP_UDP_BYTES, KnownFrame, MessageFrame, ReportFrame
+from shaper.frames import IP_UDP_BYTES, KnownFrame, MessageFrame, ReportFrame
 from shaper.incoming import Limits
 from shaper.pacer import Pacer
 from shaper.reliable import ReliableQueue

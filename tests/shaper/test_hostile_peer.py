@@ -9,18 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.attachment import Stamp
-from shaper.datagram import (
-    Frame,
-    Header,
-    HelloFrame,
-    KnownFrame,
-    MessageFrame,
-    ReportFrame,
-    TopicName,
-    decode_datagram,
-)
+from shaper.datagram import decode_datagram
 from shaper.endpoint import Endpoint, EndpointSettings, pump
 from shaper.events import Delivered, Event
+from shaper.frames import Frame, Header, HelloFrame, KnownFrame, MessageFrame, ReportFrame, TopicName
 from shaper.incoming import Limits
 from shaper.link_estimator import PresetBands
 from tests.shaper.pair import FAST, HOUR, MS, RULES, THIN, UNIX_NS, Pair, S, Side

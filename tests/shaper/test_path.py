@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shaper.datagram import ARRIVED_BITS, ReportFrame
 from shaper.errors import DecodeError
+from shaper.frames import ARRIVED_BITS, ReportFrame
 from shaper.path import Path, PeerClock
 from shaper.serial_number import expand
 

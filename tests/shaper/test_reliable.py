@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shaper.datagram import MessageFrame, Outcome, SkipFrame
+from shaper.frames import MessageFrame, Outcome, SkipFrame
 from shaper.link_estimator import PresetBand
 from shaper.reliable import MAX_OUTSTANDING, ReliableQueue
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule

@@ -5,6 +5,16 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from shaper.datagram import (
+    append_hello,
+    append_known,
+    append_ledger,
+    append_message,
+    append_receipt,
+    append_report,
+    append_skip,
+    write_header,
+)
+from shaper.frames import (
     ARRIVED_BITS,
     HEADER_BYTES,
     MAX_SHARES,
@@ -21,14 +31,6 @@ from shaper.datagram import (
     ReportFrame,
     SkipFrame,
     TopicName,
-    append_hello,
-    append_known,
-    append_ledger,
-    append_message,
-    append_receipt,
-    append_report,
-    append_skip,
-    write_header,
 )
 from shaper.varint import MAX_VALUE
 
