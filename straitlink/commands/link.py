@@ -35,7 +35,7 @@ def link(
     commands: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[-- COMMAND_A ::: COMMAND_B]", help="Robot's and operator's command, for --tun."
+            metavar="[-- COMMAND_A ::: COMMAND_B]", help="The robot's and the operator's command."
         ),
     ] = None,
     profile: Annotated[str, typer.Option(help="Name of a link profile, or a TOML or CSV file.")] = "trials",
@@ -61,9 +61,12 @@ def link(
 ) -> None:
     """Emulate a thin link.
 
-    With --udp between two UDP ports, until SIGTERM or Ctrl-C. With --tun between two network namespaces: the
-    robot's 10.71.0.1 in which COMMAND_A runs, the operator's 10.71.0.2 in which COMMAND_B does; ends with
-    them and with their exit code. With --tc on one direction of a real interface, until SIGTERM or Ctrl-C.
+    --udp: between two UDP ports, until SIGTERM or Ctrl-C.
+
+    --tun, --netem, --guest: between the two namespaces that the commands run in, 10.71.0.1 for COMMAND_A and
+    10.71.0.2 for COMMAND_B; ends with COMMAND_A and with its exit code.
+
+    --tc: on one direction of a real interface, until SIGTERM or Ctrl-C.
     """
     from netem_scripts.guest import run_guest
     from netem_scripts.profiles import load_profile
@@ -80,6 +83,8 @@ def link(
     way = _the_way({Way.UDP: udp, Way.TUN: tun, Way.NETEM: netem, Way.GUEST: guest, Way.TC: tc})
     if way in (Way.UDP, Way.TC) and commands:
         raise typer.BadParameter("commands run with --tun, --netem or --guest", param_hint="COMMAND_A")
+    if way is not Way.TC and (apply or interface):
+        raise typer.BadParameter("goes with --tc", param_hint="--apply" if apply else "--interface")
     with _one_line_errors():
         if way is Way.UDP:
             return _run_udp(resolved, (robot_side, operator_side), (robot_peer, operator_peer), seed, trace)

@@ -27,7 +27,7 @@ from netem_scripts.profiles import load_profile
 from straitlink.mission import MissionSettings, run_mission
 from tests.live.processes import ROOT, Rig, wait_until
 from tests.live.test_shapers import LOAD, ages_ms, publish
-from tests.live.test_tun import Run, all_networks
+from tests.live.test_tun import Run, all_networks, why_no_namespaces
 
 S = 1_000_000_000
 RUN_S = 240
@@ -40,10 +40,15 @@ def why_not() -> str:
         check_guest()
     except GuestError as error:
         return str(error)
-    return "" if os.geteuid() == 0 else "namespaces and hostfs writes need root"
+    return why_no_namespaces()
 
 
-pytestmark = [pytest.mark.live, pytest.mark.guest, pytest.mark.skipif(bool(why_not()), reason=why_not())]
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.guest,
+    pytest.mark.timeout(240),
+    pytest.mark.skipif(bool(why_not()), reason=why_not() or "it can"),
+]
 
 
 def guest(robot: list[str], operator: list[str], *options: str) -> list[str]:

@@ -18,12 +18,23 @@ import pytest
 
 from tests.live.processes import ROOT, wait_until
 
+
+def why_no_namespaces() -> str:
+    """Why this machine cannot run these tests; empty if it can."""
+    if os.geteuid() != 0 or not os.access("/dev/net/tun", os.R_OK | os.W_OK):
+        return "network namespaces and /dev/net/tun need root"
+    tried = subprocess.run(
+        ["unshare", "--net", "--pid", "--fork", "--mount-proc", "true"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return tried.stderr.strip()
+
+
 pytestmark = [
     pytest.mark.live,
-    pytest.mark.skipif(
-        os.geteuid() != 0 or not os.access("/dev/net/tun", os.R_OK | os.W_OK),
-        reason="network namespaces and /dev/net/tun need root",
-    ),
+    pytest.mark.skipif(bool(why_no_namespaces()), reason=why_no_namespaces() or "it can"),
 ]
 
 ECHO = """

@@ -41,6 +41,7 @@ def test_a_plot_is_an_svg_file(tmp_path: Path) -> None:
         (("--", "a", ":::", "b"), "commands run with --tun, --netem or --guest"),
         (("--tc",), "give the device to shape"),
         (("--tc", "--interface", "eth0", "--direction", "left"), "left must be down or up"),
+        (("--apply",), "goes with --tc"),
         (("--netem", "--trace", "x", "--", "a", ":::", "b"), "netem keeps no trace"),
     ],
 )
