@@ -126,6 +126,7 @@ class Endpoint:
         )
         self._ledgers = LedgerExchange(epoch)
         self._incoming: Incoming | None = None
+        self._former: Incoming | None = None  # the life before, should it turn out to be the present one
         self._retired_epochs: deque[int] = deque(maxlen=_RETIRED_EPOCHS)
         self._path = Path()
         self._pacer = Pacer(estimator.rate_bps, self._credit_bytes(), now_ns)
@@ -392,7 +393,7 @@ class Endpoint:
         if incoming is None or header.epoch != incoming.epoch:
             # Whoever has just started says hello in every datagram until it is reported on.
             says_hello = any(isinstance(frame, HelloFrame) for frame in frames)
-            if header.epoch in self._retired_epochs or (incoming is not None and not says_hello):
+            if incoming is not None and not (says_hello and self._may_be_alive(header.epoch, now_ns)):
                 self.counters.stale_epoch += 1
                 return
             incoming = self._meet_peer(header.epoch, now_ns)
@@ -423,16 +424,32 @@ class Endpoint:
                 case LedgerFrame():
                     self._ledgers.on_received_half(frame, self._outgoing)
 
+    def _may_be_alive(self, epoch: int, now_ns: int) -> bool:
+        """Whether an epoch that is not the peer's may be the peer's all the same.
+
+        A former one is not, unless the present one has fallen silent: then it was a late or a forged
+        datagram by which we took the peer for restarted.
+        """
+        return epoch not in self._retired_epochs or now_ns - self._last_heard_ns > _SILENCE_NS
+
     def _meet_peer(self, epoch: int, now_ns: int) -> Incoming:
         """The peer's first datagram, or the first after it has started anew."""
         again = self._incoming is not None
+        former, self._former = self._former, self._incoming
         if self._incoming is not None:
             self._retired_epochs.append(self._incoming.epoch)
+            if epoch in self._retired_epochs:
+                self._retired_epochs.remove(epoch)
             self._outgoing.on_peer_restarted()
             self._ledgers.on_peer_restarted()
             self._path.on_peer_restarted()
             self._estimator.on_peer_restarted(now_ns)
-        self._incoming = Incoming(epoch, self._settings.limits, self._settings.accept, self.received_ledgers)
+        if former is not None and former.epoch == epoch:
+            self._incoming = former
+        else:
+            self._incoming = Incoming(
+                epoch, self._settings.limits, self._settings.accept, self.received_ledgers
+            )
         self._report_at_once = True  # it waits for nothing but our word
         self._beat_at_ns = now_ns
         self._events.append(PeerStarted(epoch, again))

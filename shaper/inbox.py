@@ -13,6 +13,18 @@ from shaper.shared_state import decode_entries
 _WINDOW = 256  # message numbers in which a late one is told from a new one
 
 
+@dataclass(slots=True)
+class Budget:
+    """Memory that all topics of the peer share."""
+
+    max_bytes: int
+    held_bytes: int = 0
+
+    def has_room(self, count: int) -> bool:
+        """Whether so many bytes more may be held."""
+        return self.held_bytes + count <= self.max_bytes
+
+
 @dataclass(frozen=True, slots=True)
 class Arrived:
     """A whole message, with its capture and first send stamp in the peer's clock (us).
@@ -62,12 +74,12 @@ class PlainInbox:
 class ReliableInbox:
     """Messages to be delivered once and in order; later ones wait for the earlier.
 
-    As many may wait as a sender may have outstanding, and of no more than max_bytes together; a message
-    beyond that is no sender's of ours, and dropped.
+    As many may wait as a sender may have outstanding, and of all topics no more than the budget; a
+    message beyond that is dropped.
     """
 
-    def __init__(self, max_bytes: int) -> None:
-        self._max_bytes = max_bytes
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
         self._next: int | None = None
         self._waiting: dict[int, Arrived] = {}
 
@@ -79,9 +91,11 @@ class ReliableInbox:
         number = self._expand(message.number)
         never = self._begin(number - back)
         assert self._next is not None, "waiting has begun"
-        held_bytes = sum(len(waiting.payload) for waiting in self._waiting.values())
-        if self._next <= number < self._next + 2 * MAX_OUTSTANDING and held_bytes < self._max_bytes:
-            self._waiting.setdefault(number, message)
+        in_window = self._next <= number < self._next + 2 * MAX_OUTSTANDING
+        if in_window and number not in self._waiting:
+            if number == self._next or self._budget.has_room(len(message.payload)):
+                self._waiting[number] = message
+                self._budget.held_bytes += len(message.payload)
         ready, missed = self._advance(number - back)
         return ready, never + missed
 
@@ -120,20 +134,23 @@ class ReliableInbox:
         while (message := self._waiting.pop(self._next, None)) is not None:
             ready.append(message)
             self._next += 1
+        self._budget.held_bytes -= sum(len(message.payload) for message in ready)
         return ready, missed
 
 
 class StateInbox:
     """A state that both sides share: entries, each from the newest message that named it."""
 
-    def __init__(self, max_bytes: int) -> None:
-        self._max_bytes = max_bytes
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
         self._highest = -1
         self._entries: dict[int, tuple[int, bytes | None]] = {}
 
     def arrived(self, message: Arrived) -> bytes | None:
         """The whole state if the message changes it, else None. Raises DecodeError."""
-        changes = decode_entries(message.payload)
+        changes, whole = decode_entries(message.payload)
+        if whole:
+            changes = {name: None for name in self._entries} | changes
         near = message.number if self._highest < 0 else self._highest
         number = expand(message.number, MESSAGE_NUMBER_BITS, near)
         self._highest = max(self._highest, number)
@@ -142,15 +159,21 @@ class StateInbox:
             known_number, known = self._entries.get(name, (-(1 << 62), None))
             if number > known_number:
                 changed |= raw != known or name not in self._entries
+                self._budget.held_bytes += _entry_bytes(raw)
+                if name in self._entries:
+                    self._budget.held_bytes -= _entry_bytes(known)
                 self._entries[name] = number, raw
         self._shed()
         return b"".join(raw for _, raw in self._entries.values() if raw is not None) if changed else None
 
     def _shed(self) -> None:
-        held_bytes = sum(64 + len(raw or b"") for _, raw in self._entries.values())
-        while held_bytes > self._max_bytes:
+        while self._entries and not self._budget.has_room(0):
             _, raw = self._entries.pop(next(iter(self._entries)))
-            held_bytes -= 64 + len(raw or b"")
+            self._budget.held_bytes -= _entry_bytes(raw)
+
+
+def _entry_bytes(raw: bytes | None) -> int:
+    return 64 + len(raw or b"")
 
 
 Inbox = PlainInbox | ReliableInbox | StateInbox

@@ -24,7 +24,7 @@ from shaper.frames import (
     SkipFrame,
     TopicName,
 )
-from shaper.inbox import Arrived, Inbox, InTopic, PlainInbox, ReliableInbox, StateInbox
+from shaper.inbox import Arrived, Budget, Inbox, InTopic, PlainInbox, ReliableInbox, StateInbox
 from shaper.key_expression import is_key, matches
 from shaper.ledger import ReceivedLedger
 from shaper.path import Content, PeerClock
@@ -85,6 +85,8 @@ class Incoming:
         self._old_in_a_row = 0
         self._topics: dict[int, InTopic] = {}
         self._inboxes: dict[tuple[str, type[Inbox]], Inbox] = {}
+        self._waiting_budget = Budget(limits.max_reassembly_bytes)
+        self._states_budget = Budget(limits.max_reassembly_bytes)
         self._receipts: deque[tuple[int, int, Outcome]] = deque(maxlen=_MAX_RECEIPTS)
         self._to_confirm: dict[int, None] = {}
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_MAX_EARLIER + 1)
@@ -101,7 +103,8 @@ class Incoming:
 
     @property
     def held_bytes(self) -> int:
-        return self._reassembler.held_bytes
+        """Of unfinished messages, of those that wait for earlier ones, and of shared states."""
+        return self._reassembler.held_bytes + self._waiting_budget.held_bytes + self._states_budget.held_bytes
 
     def accept_packet(self, header: Header, now_ns: int) -> int | None:
         """The full send stamp of a datagram not seen before (microseconds); None for a duplicate."""
@@ -229,8 +232,8 @@ class Incoming:
         if kind is PlainInbox:
             return PlainInbox(topic.ledger)
         if kind is ReliableInbox:
-            return ReliableInbox(self._limits.max_reassembly_bytes)
-        return StateInbox(self._limits.max_message_bytes)
+            return ReliableInbox(self._waiting_budget)
+        return StateInbox(self._states_budget)
 
     def _topic_of(self, frame: MessageFrame | SkipFrame) -> InTopic | None:
         topic = self._topics.get(frame.topic_id)

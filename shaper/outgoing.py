@@ -238,7 +238,9 @@ class Outgoing:
             return
         if not opportunity.loss_ratio or isinstance(queue, ReliableQueue | ChangesQueue):
             return
-        overhead = self._overhead_bytes(queue, departure, opportunity.now_ns) + SHARE_OVERHEAD_BYTES
+        # The age that is sent along grows while the message waits, and a share cannot be cut smaller.
+        oldest_ns = departure.capture_ns + traffic_class.ttl_ns
+        overhead = self._overhead_bytes(queue, departure, oldest_ns) + SHARE_OVERHEAD_BYTES
         needed = -(-len(departure.data) // (opportunity.limit_bytes - HEADER_BYTES - overhead))
         if not 2 <= needed < MAX_SHARES:
             return

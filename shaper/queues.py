@@ -199,8 +199,10 @@ class TopicQueue:
 
     def on_peer_restarted(self) -> None:
         """The peer has forgotten everything; a message on its way is begun anew."""
-        if self.departing is not None and self.departing.begun:
-            self.departing.offset = self.departing.sent_shares = 0
+        departure = self.departing
+        if departure is not None:
+            departure.offset = departure.sent_shares = departure.shares_needed = 0
+            departure.shares = []  # cut anew: they must leave room for the topic's name again
 
     @property
     def empty(self) -> bool:

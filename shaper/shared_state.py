@@ -98,7 +98,9 @@ class ChangesQueue(TopicQueue):
             return None
         self._under_way = self.next_number, {name: self._compared.get(name, _GONE) for name in names}
         self._carried, self._pending = self._pending, 0
-        data = encode_entries({name: self._raw.get(name, _GONE) for name in names})
+        data = encode_entries(
+            {name: self._raw.get(name, _GONE) for name in names}, whole=not self._acknowledged
+        )
         data, compressed = pack(data, Compression.ZSTD)
         self.departing = Departure(
             data, self._encoding, self._capture_ns, self.next_number, compressed, self._tag
@@ -164,9 +166,12 @@ class ChangesQueue(TopicQueue):
         return changed + [name for name in theirs if name not in mine]
 
 
-def encode_entries(entries: dict[int, bytes]) -> bytes:
-    """Entries by hash; an empty one is gone (the entry REST may be empty and there)."""
-    out = bytearray()
+def encode_entries(entries: dict[int, bytes], *, whole: bool) -> bytes:
+    """Entries by hash; an empty one is gone (the entry REST may be empty and there).
+
+    whole: there are no others; what the receiver has of a state that we know nothing of is gone.
+    """
+    out = bytearray([whole])
     for name, raw in entries.items():
         out += _HASH.pack(name)
         append_varint(out, len(raw) + 1 if raw or name == REST else 0)
@@ -174,10 +179,12 @@ def encode_entries(entries: dict[int, bytes]) -> bytes:
     return bytes(out)
 
 
-def decode_entries(data: bytes) -> dict[int, bytes | None]:
-    """Undo `encode_entries`; None for an entry that is gone. Raises DecodeError."""
+def decode_entries(data: bytes) -> tuple[dict[int, bytes | None], bool]:
+    """Undo `encode_entries`: entries, None for one that is gone, and `whole`. Raises DecodeError."""
     entries: dict[int, bytes | None] = {}
-    at = 0
+    if not data or data[0] > 1:
+        raise DecodeError("a state does not start with whether it is whole")
+    at = 1
     while at < len(data):
         if at + _HASH.size > len(data):
             raise DecodeError(f"a state's entry at byte {at} has no hash")
@@ -190,7 +197,7 @@ def decode_entries(data: bytes) -> dict[int, bytes | None]:
             raise DecodeError(f"a state's entry of {size - 1} bytes at byte {at} runs past the end")
         entries[name] = data[at : at + size - 1]
         at += size - 1
-    return entries
+    return entries, bool(data[0])
 
 
 def _split(payload: bytes, entries: Entries | None) -> dict[int, Entry]:
