@@ -125,7 +125,9 @@ class _ShaperTable(_Table):
     link: _LinkTable
     zenoh: _ZenohTable
     classes: dict[str, ClassTable] = {}
-    tiers: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}$")], _TierTable] = {}
+    tiers: dict[
+        Annotated[str, Field(pattern=r"^(0|[1-9][0-9]?|1[0-9]{2}|2[0-4][0-9]|25[0-5])$")], _TierTable
+    ] = {}
     metrics: _MetricsTable | None = None
     topics: Annotated[list[_TopicTable], Field(min_length=1)]
     limits: _LimitsTable = _LimitsTable()
@@ -269,7 +271,10 @@ def _guaranteed(table: _ShaperTable, path: Path) -> dict[int, float]:
 def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
     classes = dict(DEFAULT_CLASSES)
     for name, class_table in table.classes.items():
-        classes[name] = class_from_table(name, class_table, classes)
+        try:
+            classes[name] = class_from_table(name, class_table, classes)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
     rules = []
     for index, topic in enumerate(table.topics):
         if topic.traffic_class not in classes:

@@ -123,10 +123,10 @@ class Daemon:
         for sample in self._inlet.take():
             stamp = decode_stamp(sample.attachment) if sample.attachment else None
             capture_ns = _capture_ns(stamp, sample.received_ns, unix_minus_monotonic_ns)
-            if sample.missed:
-                self.endpoint.missed(sample.key, sample.missed)
             tag = 0 if stamp is None else stamp.capture_ns << 32 | stamp.sequence
             more |= self.endpoint.offer(sample.key, sample.payload, capture_ns, now_ns, sample.encoding, tag)
+            if sample.missed:
+                self.endpoint.missed(sample.key, sample.missed)
         if more:
             self._pump(now_ns)
 

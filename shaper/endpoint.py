@@ -42,26 +42,11 @@ from shaper.outgoing import Opportunity, Outgoing
 from shaper.pacer import NS_PER_S, Pacer
 from shaper.path import Content, Path
 from shaper.queues import Payload, TopicQueue
+from shaper.timers import Due, Timers
 from shaper.traffic_class import TopicRule
 
-BEAT_INTERVAL_NS = 1_000_000_000  # each side says at least this often that it is there
-SEARCH_INTERVAL_NS = 500_000_000  # the same while the peer has never been heard
-REPORT_INTERVAL_NS = 50_000_000  # a report leaves at most this long after what it reports on ...
-REPORT_SHARE = 0.03  # ... but pure reports take no more than this share of our own direction
-_REPORT_WIRE_BYTES = 75  # a typical pure report: headers, a report of ten arrivals
-_PIGGYBACK_NS = 20_000_000  # a datagram that leaves anyway carries a report if the last is older
 _CREDIT_NS = 10_000_000  # what a late timer may catch up, as time at the present rate
 _CONFIRMATIONS_PER_DATAGRAM = 32  # topics or messages at a time; more wait for the next datagram
-# A probe asks for a report when a message waits for its outcome, or for room on a held link, and nothing
-# has been sent for a while: a round trip and its variation, or just a round trip once the peer is silent.
-_PROBE_INTERVAL_NS = 100_000_000
-_PROBE_SHARE = 0.05  # and never more than this share of the rate
-_PROBE_WIRE_BYTES = 47
-# After so long without a datagram from the peer, heartbeats too leave only at a share of the rate: where a
-# blackout holds the queue, all that was sent into it comes before anything new (30 s of it: 0.9 s of link).
-_SILENCE_NS = 3_000_000_000
-_TRICKLE_SHARE = 0.03
-_TRICKLE_WIRE_BYTES = 110
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 _RETIRED_EPOCHS = 8  # former lives of the peer whose late datagrams are recognised
 
@@ -95,15 +80,6 @@ class Counters:
     stale_epoch: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Due:
-    """What must leave now, whether or not there are messages."""
-
-    beat: bool = False
-    report: bool = False
-    probe: bool = False
-
-
 class Endpoint:
     """Shapes one side's traffic onto the link and rebuilds the other side's from it.
 
@@ -131,11 +107,7 @@ class Endpoint:
         self._path = Path()
         self._pacer = Pacer(estimator.rate_bps, self._credit_bytes(), now_ns)
         self._events: deque[Event] = deque()
-        self._beat_at_ns = now_ns
-        self._last_sent_ns = now_ns
-        self._last_heard_ns = now_ns
-        self._report_at_once = False  # a peer just met gets its first report without waiting
-        self._reported_at_ns = now_ns
+        self._timers = Timers(now_ns)
 
     # What happens to an endpoint.
 
@@ -188,8 +160,8 @@ class Endpoint:
         only_emergency = not self._pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
         holding = self.holding
         queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
-        due = _Due() if only_emergency else self._what_is_due(now_ns)
-        if queue is None and not (due.beat or due.report or due.probe):
+        due = Due() if only_emergency else self._what_is_due(now_ns)
+        if queue is None and not due.anything:
             return None
         out = bytearray(HEADER_BYTES)
         said_hello, contents = self._append_control(out, now_ns, due)
@@ -222,7 +194,7 @@ class Endpoint:
 
     def wakeup_at_ns(self, now_ns: int) -> int:
         """When something falls due or may leave, if nothing happens before."""
-        wakeup_ns = self._beat_at_ns
+        wakeup_ns = self._timers.beat_at_ns
         for at_ns in (self._report_due_ns(), self._probe_at_ns()):
             if at_ns is not None and at_ns < wakeup_ns:
                 wakeup_ns = at_ns
@@ -292,22 +264,22 @@ class Endpoint:
 
     # Sending.
 
-    def _what_is_due(self, now_ns: int) -> _Due:
+    def _what_is_due(self, now_ns: int) -> Due:
         report_ns, probe_ns = self._report_due_ns(), self._probe_at_ns()
-        return _Due(
-            beat=now_ns >= self._beat_at_ns,
+        return Due(
+            beat=now_ns >= self._timers.beat_at_ns,
             report=report_ns is not None and report_ns <= now_ns,
             probe=probe_ns is not None and probe_ns <= now_ns,
         )
 
-    def _append_control(self, out: bytearray, now_ns: int, due: _Due) -> tuple[bool, tuple[Content, ...]]:
+    def _append_control(self, out: bytearray, now_ns: int, due: Due) -> tuple[bool, tuple[Content, ...]]:
         """Append what the two ends tell each other beside messages; whether that includes a hello."""
         incoming = self._incoming
         contents: tuple[Content, ...] = ()
         if incoming is not None:
-            if incoming.has_unreported and (due.report or now_ns - self._reported_at_ns >= _PIGGYBACK_NS):
+            if incoming.has_unreported and (due.report or self._timers.may_piggyback(now_ns)):
                 append_report(out, incoming.take_report())
-                self._reported_at_ns = now_ns
+                self._timers.reported_at_ns = now_ns
             if incoming.has_to_confirm:
                 append_known(out, incoming.take_known(_CONFIRMATIONS_PER_DATAGRAM))
             if incoming.has_receipts:
@@ -315,8 +287,7 @@ class Endpoint:
                 append_receipt(out, frame)
                 contents = (content,)
         if due.beat:
-            interval_ns = SEARCH_INTERVAL_NS if incoming is None else BEAT_INTERVAL_NS
-            self._beat_at_ns = now_ns + interval_ns
+            self._timers.on_beat(now_ns, searching=incoming is None)
             self._events.append(self.link_state())
             if incoming is not None:
                 for ledger in self._ledgers.take(self._outgoing, incoming):
@@ -342,36 +313,22 @@ class Endpoint:
         self.counters.sent_datagrams += 1
         self.counters.sent_wire_bytes += packet.wire_bytes
         if elicits_report:
-            self._last_sent_ns = now_ns
+            self._timers.last_sent_ns = now_ns
         return bytes(out)
 
     def _trickle_at_ns(self) -> int:
-        """When the next datagram may leave although nothing comes back: what a held queue would add up."""
-        if self._incoming is None or self._last_sent_ns - self._last_heard_ns < _SILENCE_NS:
-            return _ANY_TIME_NS
-        share_ns = int(_TRICKLE_WIRE_BYTES * 8 * NS_PER_S / (_TRICKLE_SHARE * self._estimator.rate_bps))
-        return self._last_sent_ns + max(_PROBE_INTERVAL_NS, share_ns)
+        return self._timers.trickle_at_ns(self._estimator.rate_bps) if self._incoming else _ANY_TIME_NS
 
     def _probe_at_ns(self) -> int | None:
-        """When to ask for a report because something waits on one: see _PROBE_SHARE."""
         if self._incoming is None:
             return None
         waits = self._outgoing.scheduler.next_queue() is not None if self.holding else False
         if not waits and not self._outgoing.awaits_outcomes:
             return None
-        share_ns = int(_PROBE_WIRE_BYTES * 8 * NS_PER_S / (_PROBE_SHARE * self._estimator.rate_bps))
-        silent = self._last_sent_ns - self._last_heard_ns > self._path.probe_timeout_ns()
-        patience_ns = self._path.smoothed_rtt_ns if silent else self._path.probe_timeout_ns()
-        return self._last_sent_ns + max(_PROBE_INTERVAL_NS, share_ns, patience_ns)
+        return self._timers.probe_at_ns(self._path, self._estimator.rate_bps)
 
     def _report_due_ns(self) -> int | None:
-        incoming = self._incoming
-        if incoming is None or incoming.unreported_since_ns is None:
-            return None
-        if self._report_at_once or incoming.after_silence:
-            return incoming.unreported_since_ns
-        share_ns = int(_REPORT_WIRE_BYTES * 8 * NS_PER_S / (REPORT_SHARE * self._estimator.rate_bps))
-        return incoming.unreported_since_ns + max(REPORT_INTERVAL_NS, share_ns)
+        return self._timers.report_due_ns(self._incoming, self._estimator.rate_bps)
 
     def _datagram_limit_bytes(self) -> int:
         max_wire_bytes = self._settings.max_datagram_bytes + IP_UDP_BYTES
@@ -397,7 +354,7 @@ class Endpoint:
                 self.counters.stale_epoch += 1
                 return
             incoming = self._meet_peer(header.epoch, now_ns)
-        self._last_heard_ns = now_ns
+        self._timers.last_heard_ns = now_ns
         sent_us = incoming.accept_packet(header, now_ns)
         if sent_us is None:
             self.counters.duplicate += 1
@@ -430,7 +387,7 @@ class Endpoint:
         A former one is not, unless the present one has fallen silent: then it was a late or a forged
         datagram by which we took the peer for restarted.
         """
-        return epoch not in self._retired_epochs or now_ns - self._last_heard_ns > _SILENCE_NS
+        return epoch not in self._retired_epochs or self._timers.is_dark(now_ns)
 
     def _meet_peer(self, epoch: int, now_ns: int) -> Incoming:
         """The peer's first datagram, or the first after it has started anew."""
@@ -450,8 +407,7 @@ class Endpoint:
             self._incoming = Incoming(
                 epoch, self._settings.limits, self._settings.accept, self.received_ledgers
             )
-        self._report_at_once = True  # it waits for nothing but our word
-        self._beat_at_ns = now_ns
+        self._timers.on_peer_met(now_ns)
         self._events.append(PeerStarted(epoch, again))
         return self._incoming
 
@@ -460,7 +416,7 @@ class Endpoint:
             return
         settled = self._path.on_report(frame, sent_us, incoming.clock, now_ns)
         if settled:
-            self._report_at_once = False
+            self._timers.report_at_once = False
             self._estimator.on_report(settled, self._path.rtt_ns, self._path.loss_ratio, now_ns)
             self._follow_estimate(now_ns)
 

@@ -92,10 +92,10 @@ class ReliableInbox:
         never = self._begin(number - back)
         assert self._next is not None, "waiting has begun"
         in_window = self._next <= number < self._next + 2 * MAX_OUTSTANDING
-        if in_window and number not in self._waiting:
-            if number == self._next or self._budget.has_room(len(message.payload)):
-                self._waiting[number] = message
-                self._budget.held_bytes += len(message.payload)
+        has_room = number == self._next or self._budget.has_room(len(message.payload))
+        if in_window and has_room and number not in self._waiting:
+            self._waiting[number] = message
+            self._budget.held_bytes += len(message.payload)
         ready, missed = self._advance(number - back)
         return ready, never + missed
 
@@ -150,7 +150,7 @@ class StateInbox:
         """The whole state if the message changes it, else None. Raises DecodeError."""
         changes, whole = decode_entries(message.payload)
         if whole:
-            changes = {name: None for name in self._entries} | changes
+            changes = {**dict.fromkeys(self._entries), **changes}
         near = message.number if self._highest < 0 else self._highest
         number = expand(message.number, MESSAGE_NUMBER_BITS, near)
         self._highest = max(self._highest, number)

@@ -30,6 +30,8 @@ class LedgerExchange:
         """The peer has to be told everything anew."""
         self._told_sent.clear()
         self._told_received.clear()
+        self.sent.clear()
+        self.received.clear()
 
     def take(self, outgoing: Outgoing, incoming: Incoming) -> Iterator[LedgerFrame]:
         """What to tell now."""

@@ -102,7 +102,8 @@ class Outgoing:
 
     def queues(self) -> Iterator[TopicQueue]:
         """The topics that this side sends, in the order in which they appeared."""
-        return (queue for queue in self._queues.values() if queue is not None)
+        # A copy, because metrics are scraped by another thread.
+        return (queue for queue in list(self._queues.values()) if queue is not None)
 
     def ledgers(self) -> dict[str, SentLedger]:
         """Counters by key, in the order in which the topics appeared."""

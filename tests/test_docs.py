@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from shaper.config import _TABLES, _ShaperTable
-from shaper.datagram import HEADER_BYTES, IP_UDP_BYTES
+from shaper.frames import HEADER_BYTES, IP_UDP_BYTES
 from shaper.incoming import Limits
 from shaper.traffic_class import DEFAULT_CLASSES
 from straitlink.cli import app
