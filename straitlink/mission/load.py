@@ -97,7 +97,10 @@ def load_named_or_file(name_or_path: str) -> Load:
         raise ConfigError(describe_validation_error(path, error)) from error
     classes = dict(DEFAULT_CLASSES)
     for name, class_table in table.classes.items():
-        classes[name] = class_from_table(name, class_table, classes)
+        try:
+            classes[name] = class_from_table(name, class_table, classes)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
     return _load(table.name or path.stem, table.topics, classes, str(path))
 
 

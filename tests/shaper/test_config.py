@@ -7,7 +7,7 @@ import pytest
 from shaper.config import load_config, parse_address
 from shaper.errors import ConfigError
 from shaper.incoming import Limits
-from shaper.traffic_class import DEFAULT_CLASSES, Compression, Keep
+from shaper.traffic_class import DEFAULT_CLASSES, Compression, Entries, Keep
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -99,6 +99,30 @@ def test_a_declared_class_changes_a_built_in_one_or_adds_one(tmp_path: Path) -> 
     assert not DEFAULT_CLASSES["bulk"].always_send
 
 
+def test_what_shapes_the_traffic_is_read(tmp_path: Path) -> None:
+    text = MINIMAL.replace('class = "state"', 'class = "status"\nweight = 2.5') + (
+        "entries = { field = 2, key = 1, ignored = [4, 5], ignored_outside = [1] }\n"
+        '[[topics]]\nkey = "robot/image"\nclass = "perception"\npull = true\nmax_hz = 2\n'
+        "[tiers.4]\nguaranteed_ratio = 0.05\n[tiers.5]\nguaranteed_ratio = 0.1\n"
+        '[metrics]\nlisten = "127.0.0.1:9100"\n'
+        "[classes.perception]\nmax_parity_ratio = 0.25\ntarget_ratio = 0.9\n"
+    )
+    config = load_config(write(tmp_path, text))
+    status, image = config.endpoint.rules
+    assert (status.weight, image.weight) == (2.5, 1.0)
+    assert status.entries == Entries(2, 1, frozenset({4, 5}), frozenset({1}))
+    assert (image.pull, image.min_period_ns, image.entries) == (True, 500_000_000, None)
+    assert (image.traffic_class.max_parity_ratio, image.traffic_class.target_ratio) == (0.25, 0.9)
+    assert config.endpoint.guaranteed == {4: 0.05, 5: 0.1}
+    assert config.metrics == ("127.0.0.1", 9100)
+
+
+def test_a_class_is_made_reliable(tmp_path: Path) -> None:
+    text = MINIMAL + '[classes.state]\nkeep = "all"\nreliable = true\n'
+    (rule,) = load_config(write(tmp_path, text)).endpoint.rules
+    assert (rule.traffic_class.reliable, rule.traffic_class.keep) == (True, Keep.ALL)
+
+
 def test_rules_keep_the_order_of_the_file(tmp_path: Path) -> None:
     text = MINIMAL + '[[topics]]\nkey = "b"\nclass = "bulk"\n[[topics]]\nkey = "a"\nclass = "bulk"\n'
     rules = load_config(write(tmp_path, text)).endpoint.rules
@@ -169,6 +193,47 @@ def test_zenoh_options_pass_through(tmp_path: Path) -> None:
         ('peer = "127.0.0.1:9101"', 'peer = "127.0.0.1:9101"\naccept = ["a//b"]', ["link.accept", "slash"]),
         ('peer = "127.0.0.1:9101"', 'peer = "127.0.0.1:9101"\npace_ratio = 1.5', ["link.pace_ratio", "1.5"]),
         (
+            "[zenoh]",
+            '[classes.command]\nkeep = "latest"\n[zenoh]',
+            ["classes.command", "reliable = true", 'keep = "latest"', '"changes"'],
+        ),
+        ("[zenoh]", "[classes.x]\nmax_parity_ratio = 3\n[zenoh]", ["classes.x.max_parity_ratio", "= 3"]),
+        ("[zenoh]", "[classes.x]\ntarget_ratio = 1\n[zenoh]", ["classes.x.target_ratio", "less than 1"]),
+        (
+            "[zenoh]",
+            "[tiers.3]\nguaranteed_ratio = 0\n[zenoh]",
+            ["tiers.3.guaranteed_ratio", "greater than 0"],
+        ),
+        ("[zenoh]", "[tiers.bulk]\nguaranteed_ratio = 0.1\n[zenoh]", ["tiers.bulk", '"bulk"', "match"]),
+        ("[zenoh]", "[tiers.256]\nguaranteed_ratio = 0.1\n[zenoh]", ["tiers.256", "match"]),
+        (
+            "[zenoh]",
+            "[tiers.3]\nguaranteed_ratio = 0.5\n[tiers.4]\nguaranteed_ratio = 0.5\n[zenoh]",
+            ["tiers", "adds up to 1", "less than 1"],
+        ),
+        ("[zenoh]", '[metrics]\nlisten = "9100"\n[zenoh]', ["metrics.listen", '"9100"', "host:port"]),
+        ('class = "state"', 'class = "state"\nweight = 0', ["topics[0].weight", "= 0"]),
+        (
+            'class = "state"',
+            'class = "state"\npull = true',
+            ["topics[0].pull", "without wildcards", "'robot/**'"],
+        ),
+        (
+            'key = "robot/**"\nclass = "state"',
+            'key = "robot/a"\nclass = "plan"\npull = true',
+            ["topics[0].pull", "not reliable"],
+        ),
+        (
+            'class = "state"',
+            'class = "state"\nentries = { field = 2, key = 1 }',
+            ["topics[0].entries", 'keep = "changes"'],
+        ),
+        (
+            'class = "state"',
+            'class = "status"\nentries = { field = 0, key = 1 }',
+            ["topics[0].entries.field", "= 0"],
+        ),
+        (
             'peer = "127.0.0.1:9101"',
             'peer = "127.0.0.1:9101"\nmax_datagram_bytes = 9000',
             ["link.max_datagram_bytes"],
@@ -197,6 +262,9 @@ def test_a_mistake_is_told_by_file_field_value_and_expectation(
         ("[classes.state]", "classes.state.speed", "tier, keep, ttl_ms, depth, always_send, reliable"),
         ("[classes.link]", "classes.link.speed", "tier, keep, ttl_ms, depth, always_send, reliable"),
         ("[limits]", "limits.speed", "max_topics, max_message_bytes"),
+        ("[tiers.3]", "tiers.3.speed", "guaranteed_ratio"),
+        ("[metrics]", "metrics.speed", "listen"),
+        ("[topics.entries]", "topics[0].entries.speed", "field, key, ignored, ignored_outside"),
     ],
 )
 def test_an_unknown_key_is_told_with_the_known_ones(

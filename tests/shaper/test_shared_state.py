@@ -195,14 +195,16 @@ def test_every_offer_is_accounted_for(fates: list[str], tables: list[dict[int, i
 
 
 @given(
-    st.dictionaries(st.integers(1, (1 << 32) - 1), st.one_of(st.none(), st.binary(min_size=1, max_size=9)))
+    st.dictionaries(st.integers(1, (1 << 32) - 1), st.one_of(st.none(), st.binary(min_size=1, max_size=9))),
+    st.booleans(),
 )
-def test_entries_come_back_as_they_were_written(entries: dict[int, bytes | None]) -> None:
-    assert decode_entries(encode_entries({name: raw or b"" for name, raw in entries.items()})) == entries
+def test_entries_come_back_as_they_were_written(entries: dict[int, bytes | None], whole: bool) -> None:
+    data = encode_entries({name: raw or b"" for name, raw in entries.items()}, whole=whole)
+    assert decode_entries(data) == (entries, whole)
 
 
 def test_an_empty_rest_is_there_and_not_gone() -> None:
-    assert decode_entries(encode_entries({REST: b""})) == {REST: b""}
+    assert decode_entries(encode_entries({REST: b""}, whole=False)) == ({REST: b""}, False)
 
 
 @given(st.binary(max_size=40))
