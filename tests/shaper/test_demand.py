@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import pytest
@@ -108,7 +109,7 @@ def test_a_question_without_an_answer_is_asked_anew_after_its_time_and_not_befor
             at_ns.append(pair.now_ns)
         if pair.now_ns > 20 * S:
             break
-    gaps_ns = [b - a for a, b in zip(at_ns, at_ns[1:], strict=False)]
+    gaps_ns = [b - a for a, b in itertools.pairwise(at_ns)]
     assert len(gaps_ns) >= 5
     assert min(gaps_ns) >= PULL_TIMEOUT_NS
     assert max(gaps_ns) < PULL_TIMEOUT_NS + 200 * MS
