@@ -91,7 +91,7 @@ def _init_script(command: Sequence[str], timeout_s: float) -> str:
         [
             "#!/bin/sh",
             *exports,
-            "export PATH=$PATH:/usr/sbin:/sbin",
+            "export PATH=$PATH:/usr/sbin:/sbin TMPDIR=/dev/shm",  # so that nothing temporary is the host's
             "mount -t proc proc /proc; mount -t sysfs sysfs /sys",
             "mkdir -p /dev/shm /dev/pts; mount -t tmpfs tmpfs /dev/shm; mount -t devpts devpts /dev/pts",
             "for line in 0 1; do stty -F /dev/ttyS$line raw -echo; done",

@@ -76,7 +76,8 @@ class NetemSchedule:
     def apply(self, at_ns: int) -> None:
         """Put the band of at_ns in force, adding the qdisc at 0, and read it back. Raises TcError."""
         band = self.band_at(at_ns)
-        run(self._interface.netem("add" if at_ns == 0 else "change", band))
+        with _tables(band):
+            run(self._interface.netem("add" if at_ns == 0 else "change", band))
         differences = band.differences(netem_options(self._interface))
         if differences:
             raise TcError(f"{self._interface.device}: {'; '.join(differences)}.")
@@ -132,8 +133,11 @@ def check_free(interface: Interface) -> None:
 
 
 @contextmanager
-def distributions() -> Iterator[None]:
-    """Let tc find our table of half-normal jitter, for as long as the context lasts."""
+def _tables(band: NetemBand) -> Iterator[None]:
+    """Let tc find our table of half-normal jitter; only while it runs, as a kill would leave the file."""
+    if band.distribution is None:
+        yield
+        return
     with tempfile.TemporaryDirectory(prefix="straitlink-tc-") as folder:
         (Path(folder) / f"{HALF_NORMAL}.dist").write_text(half_normal_table())
         before = os.environ.get("TC_LIB_DIR")
@@ -156,7 +160,7 @@ def apply_until_signal(
     schedule = NetemSchedule(direction, interface, packet_bytes)
     check_free(interface)
     stop = _StopFlag()
-    with distributions(), _guard(interface) as guard:
+    with _guard(interface) as guard:
         try:
             schedule.apply(0)
             start_ns, at_ns = time.monotonic_ns(), 0

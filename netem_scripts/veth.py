@@ -16,7 +16,7 @@ from .carrier import precise_event_loop
 from .container import Container
 from .network import DEVICE, DEVICE_MTU_BYTES, NETMASK_BITS, OPERATOR_ADDRESS, ROBOT_ADDRESS
 from .sides import SidesReport, run_sides
-from .tc import PACKET_BYTES, Interface, NetemSchedule, distributions, run
+from .tc import PACKET_BYTES, Interface, NetemSchedule, TcError, run
 
 _MACS = ("02:00:00:00:47:01", "02:00:00:00:47:02")
 
@@ -48,11 +48,10 @@ def run_veth(settings: VethSettings) -> SidesReport:
                 (settings.profile.down, settings.profile.up), interfaces, strict=True
             )
         ]
-        with distributions():
-            for schedule in schedules:
-                schedule.apply(0)
-            with asyncio.Runner(loop_factory=precise_event_loop) as runner:
-                return runner.run(_follow(settings, sides, schedules))
+        for schedule in schedules:
+            schedule.apply(0)
+        with asyncio.Runner(loop_factory=precise_event_loop) as runner:
+            return runner.run(_follow(settings, sides, schedules))
     finally:
         for side in sides:
             side.stop()
@@ -62,7 +61,10 @@ async def _follow(
     settings: VethSettings, sides: tuple[Container, Container], schedules: Sequence[NetemSchedule]
 ) -> SidesReport:
     start_ns = time.monotonic_ns()
-    changes = [asyncio.ensure_future(_change(schedule, start_ns)) for schedule in schedules]
+    changes = [
+        asyncio.ensure_future(_change(schedule, side, start_ns))
+        for schedule, side in zip(schedules, sides, strict=True)
+    ]
     ended = asyncio.ensure_future(run_sides(*sides, settings.linger_s))
     try:
         await asyncio.wait([ended, *changes], return_when=asyncio.FIRST_COMPLETED)
@@ -76,7 +78,8 @@ async def _follow(
         await asyncio.gather(*changes, ended, return_exceptions=True)
 
 
-async def _change(schedule: NetemSchedule, start_ns: int) -> None:
+async def _change(schedule: NetemSchedule, side: Container, start_ns: int) -> None:
+    """Follow the schedule on one side for as long as the side is there."""
     at_ns = 0
     while True:
         change_ns = schedule.next_change_ns(at_ns)
@@ -85,7 +88,12 @@ async def _change(schedule: NetemSchedule, start_ns: int) -> None:
             return
         await asyncio.sleep(max(0, start_ns + change_ns - time.monotonic_ns()) / 1e9)
         at_ns = change_ns
-        schedule.apply(at_ns)
+        try:
+            schedule.apply(at_ns)
+        except TcError:
+            if side.process.poll() is None:
+                raise
+            await asyncio.Event().wait()  # the side has just ended, and its device with it
 
 
 def _join(robot: Container, operator: Container) -> tuple[Interface, Interface]:
