@@ -30,7 +30,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 _MAX_RECORD_BYTES = 1 << 30  # a longer record is a damaged length
 # What a damaged record makes mcap and the decompressors raise.
-_DAMAGE = (McapError, ValueError, ZstdError, struct.error, RuntimeError, MemoryError)
+_DAMAGE = (McapError, ValueError, ZstdError, struct.error, RuntimeError, MemoryError, OverflowError)
 
 
 class RecordError(Exception):

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Message
@@ -167,6 +167,7 @@ def chunk_ends(path: Path) -> list[int]:
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(position=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
+@example(position=0.03772531389167555, flip=128)  # a chunk's length past what a signed number holds
 def test_a_damaged_byte_costs_at_most_what_depends_on_it(tmp_path: Path, position: float, flip: int) -> None:
     whole = tmp_path / "whole.mcap"
     data = bytearray(whole.read_bytes() if whole.exists() else write_recording(whole))
@@ -232,3 +233,70 @@ def test_overlapping_keys_record_a_sample_once() -> None:
 def test_settings_out_of_bounds_are_refused_in_a_sentence(changes: dict[str, object], words: str) -> None:
     with pytest.raises(RecordError, match=words):
         RecordSettings(Path("a.mcap"), BusSettings(), **changes)  # type: ignore[arg-type]
+
+
+class Unreachable(Exception):
+    """Stands for the bus that is not there."""
+
+
+def no_bus(_settings: BusSettings) -> None:
+    raise Unreachable
+
+
+def test_an_existing_file_is_refused_before_the_bus_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(record_module, "open_bus", no_bus)
+    out = tmp_path / "a.mcap"
+    out.write_bytes(b"earlier")
+    with pytest.raises(RecordError, match=r"a\.mcap exists: give another name, or --overwrite"):
+        record_module.record(RecordSettings(out, BusSettings()))
+    assert out.read_bytes() == b"earlier"
+
+
+def test_a_bus_that_is_not_there_costs_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(record_module, "open_bus", no_bus)
+    out = tmp_path / "a.mcap"
+    with pytest.raises(Unreachable):
+        record_module.record(RecordSettings(out, BusSettings()))
+    assert not out.exists()
+    out.write_bytes(b"earlier")
+    with pytest.raises(Unreachable):
+        record_module.record(RecordSettings(out, BusSettings(), overwrite=True))
+    assert out.read_bytes() == b"earlier"
+
+
+class FakeSession:
+    def __init__(self) -> None:
+        self.closed = False
+
+    def declare_subscriber(self, _key: object, _on_sample: object) -> None:
+        assert not self.closed
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def session(monkeypatch: pytest.MonkeyPatch) -> FakeSession:
+    session = FakeSession()
+    monkeypatch.setattr(record_module, "open_bus", lambda _settings: session)
+    return session
+
+
+def test_an_existing_file_is_replaced_on_demand(tmp_path: Path, session: FakeSession) -> None:
+    out = tmp_path / "a.mcap"
+    out.write_bytes(b"earlier")
+    settings = RecordSettings(out, BusSettings(), overwrite=True)
+    settings.stop.set()
+    assert record_module.record(settings).messages == 0
+    assert payloads(out) == {}
+    assert session.closed
+
+
+def test_a_place_that_cannot_be_written_is_told_and_the_bus_is_left(
+    tmp_path: Path, session: FakeSession
+) -> None:
+    with pytest.raises(RecordError, match=r"cannot write .*/absent/a\.mcap: No such file"):
+        record_module.record(RecordSettings(tmp_path / "absent" / "a.mcap", BusSettings()))
+    assert session.closed
