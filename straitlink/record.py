@@ -46,6 +46,7 @@ class RecordProgress:
 class RecordSettings:
     """What to record, where to.
 
+    overwrite: replace `out` where it exists; a recording is refused its place otherwise.
     keys: Zenoh key expressions; "**" matches all but chunks that begin with "@".
     logs: MCAP files whose schemas the recording may need, such as the log being replayed.
     metadata: strings for the file's metadata record, beside the clocks that we add.
@@ -55,6 +56,7 @@ class RecordSettings:
 
     out: Path
     bus: BusSettings
+    overwrite: bool = False
     keys: Sequence[str] = ("**",)
     logs: Sequence[Path] = ()
     metadata: Mapping[str, str] = field(default_factory=dict)
@@ -90,11 +92,12 @@ class RecordSummary:
 def record(settings: RecordSettings) -> RecordSummary:
     """Record until settings.stop is set; the file is complete when this returns, and also if it raises.
 
-    Raises RecordError if the file cannot be written, shaper.bus.BusError if the bus cannot be opened.
+    Raises RecordError if the file exists or cannot be written, shaper.bus.BusError if the bus cannot
+    be opened: then no file is made, and none that exists is touched.
     """
     recorder = Recorder(settings)
-    recorder.start()
     try:
+        recorder.start()
         while not settings.stop.wait(0.1) and recorder.alive:
             if settings.on_progress is not None:
                 settings.on_progress(recorder.progress)
@@ -107,31 +110,31 @@ class Recorder:
     """A recording in progress: Zenoh's threads append arrivals, one thread of ours writes them."""
 
     def __init__(self, settings: RecordSettings) -> None:
+        if settings.out.exists() and not settings.overwrite:
+            raise RecordError(f"{settings.out} exists: give another name, or --overwrite to replace it")
         self._settings = settings
         self._arrivals = _Arrivals(settings.queue_bytes)
+        self._keys = list(_subscriptions(settings.keys))
         library = SchemaLibrary()
         for log in settings.logs:
             library.add_log(log)
+        self._session = open_bus(settings.bus)  # first: a bus that is not there costs no earlier recording
         try:
-            stream: IO[bytes] = settings.out.open("wb")
+            self._file = RecordingFile(_open_out(settings), library)
+            self._describe()
         except OSError as error:
+            self._session.close()
             raise RecordError(f"cannot write {settings.out}: {error.strerror}") from error
-        self._file = RecordingFile(stream, library)
-        self._describe()
         self._closing = threading.Event()
         self._failure: Exception | None = None
         self._writer = threading.Thread(target=self._write, name="recorder", daemon=True)
-        self._session: zenoh.Session | None = None
         self._started_ns = time.monotonic_ns()
 
     def start(self) -> None:
-        """Open the bus and subscribe."""
-        try:
-            self._session = open_bus(self._settings.bus)
-            for key, earlier in _subscriptions(self._settings.keys):
-                self._session.declare_subscriber(key, _callback(self._arrivals, earlier))
-        finally:
-            self._writer.start()
+        """Subscribe."""
+        self._writer.start()
+        for key, earlier in self._keys:
+            self._session.declare_subscriber(key, _callback(self._arrivals, earlier))
         if self._settings.on_ready is not None:
             self._settings.on_ready()
 
@@ -147,8 +150,7 @@ class Recorder:
 
     def close(self) -> RecordSummary:
         """Unsubscribe, write what has arrived and finish the file."""
-        if self._session is not None:
-            self._session.close()
+        self._session.close()
         self._closing.set()
         self._writer.join()
         if self._failure is not None:
@@ -233,6 +235,10 @@ class _Arrivals:
             arrival_ns, sample, sample_bytes = self._samples.popleft()
             self._bytes -= sample_bytes
             return arrival_ns, sample
+
+
+def _open_out(settings: RecordSettings) -> IO[bytes]:
+    return settings.out.open("wb" if settings.overwrite else "xb")
 
 
 def _callback(arrivals: _Arrivals, earlier: Sequence[zenoh.KeyExpr]) -> Callable[[zenoh.Sample], None]:

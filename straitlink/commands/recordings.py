@@ -88,6 +88,7 @@ def record(
         typer.Option(help="MCAP file whose schemas the recording may need."),
     ] = [],  # noqa: B006
     config: Annotated[list[Path], typer.Option(help="File to carry inside, such as a configuration.")] = [],  # noqa: B006
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT where it exists.")] = False,
 ) -> None:
     """Record a Zenoh bus as MCAP (log_time = arrival, publish_time = capture), until Ctrl-C."""
     from shaper.bus import BusSettings
@@ -99,6 +100,7 @@ def record(
         RecordSettings(
             out,
             BusSettings(listen, connect),
+            overwrite=overwrite,
             keys=keys,
             logs=schemas,
             attachments=attachments,

@@ -211,5 +211,7 @@ def test_a_second_pass_follows_the_first_and_a_stop_ends_it(tmp_path: Path) -> N
     assert all(later.publish_time > earlier.publish_time for earlier, later in itertools.pairwise(joints))
 
     stop = threading.Event()
-    endless, _ = replay_into_recorder(log, out, loop=0, stop=stop, on_progress=lambda _: stop.set())
+    endless, _ = replay_into_recorder(
+        log, tmp_path / "again.mcap", loop=0, stop=stop, on_progress=lambda _: stop.set()
+    )
     assert endless.stopped and endless.passes == 0 and 0 < endless.messages < 360
