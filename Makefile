@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test lint bench proto clean
+.PHONY: demo test test-guest lint bench proto clean
 
 # The environment: pinned versions from requirements.lock, then the project itself, editable.
 $(READY): requirements.lock pyproject.toml
@@ -19,7 +19,11 @@ demo: $(READY)
 	$(BIN)/straitlink demo $(if $(LOG),--log "$(LOG)") $(DEMO_ARGS)
 
 test: $(READY)
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not guest" $(PYTEST_ARGS)
+
+# Over a real kernel's netem, in user-mode Linux; needs tools/install_guest.sh and takes some minutes more.
+test-guest: $(READY)
+	$(BIN)/python -m pytest -m guest $(PYTEST_ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

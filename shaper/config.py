@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -199,17 +200,24 @@ def class_from_table(name: str, table: ClassTable, known: dict[str, TrafficClass
     return made
 
 
-def describe_validation_error(path: Path, error: ValidationError) -> str:
-    """Every problem on its own line: file, field, value, and what was expected."""
+def describe_validation_error(
+    path: Path,
+    error: ValidationError,
+    root: type[BaseModel] | None = None,
+    tables: Mapping[str, type[BaseModel]] | None = None,
+) -> str:
+    """Every problem on its own line: file, field, value, and what was expected.
+
+    root, tables: of the file, to say which keys it may have; a shaper's unless given.
+    """
     lines = []
     for problem in error.errors():
         where = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in problem["loc"]).lstrip(".")
         value = json.dumps(problem["input"], default=str)
         shown = value if len(value) <= 80 else value[:77] + "..."
         if problem["type"] == "extra_forbidden":
-            lines.append(
-                f"{path}: {where} = {shown}: unknown key; {_known_keys(error.title, problem['loc'])}"
-            )
+            known = _known_keys(problem["loc"], root or _ShaperTable, _TABLES if tables is None else tables)
+            lines.append(f"{path}: {where} = {shown}: unknown key; expected one of {known}")
         elif problem["type"] == "missing":
             lines.append(f"{path}: {where}: is missing")
         else:
@@ -218,17 +226,15 @@ def describe_validation_error(path: Path, error: ValidationError) -> str:
     return "\n".join(lines)
 
 
-def _known_keys(title: str, loc: tuple[int | str, ...]) -> str:
+def _known_keys(
+    loc: tuple[int | str, ...], root: type[BaseModel], tables: Mapping[str, type[BaseModel]]
+) -> str:
     """What may stand at a place, found by walking the tables down to it."""
-    table: Any = _ShaperTable if title == "_ShaperTable" else None
+    table = root
     for part in loc[:-1]:
-        if table is None or table is ClassTable or isinstance(part, int):
-            continue
-        table = _TABLES.get(part, table)
-    if table is None:
-        return "see the documentation for what may stand here"
-    names = (f.alias or name for name, f in table.model_fields.items())
-    return "expected one of " + ", ".join(names)
+        if table is not ClassTable and not isinstance(part, int):
+            table = tables.get(part, table)
+    return ", ".join(f.alias or name for name, f in table.model_fields.items())
 
 
 _TABLES: dict[str, type[BaseModel]] = {
@@ -256,6 +262,11 @@ def _check_topic(where: str, topic: _TopicTable, traffic_class: TrafficClass) ->
         raise ConfigError(f"{where}.pull = true: expected a key without wildcards, not {topic.key!r}")
     if topic.pull and (traffic_class.reliable or traffic_class.keep is Keep.CHANGES):
         raise ConfigError(f"{where}.pull = true: expected a class that is not reliable, as the next item is")
+    if topic.max_hz is not None and traffic_class.keep is Keep.CHANGES:
+        raise ConfigError(
+            f'{where}.max_hz = {topic.max_hz:g}: expected none with keep = "changes": only changes cross, '
+            "and the last one must not be dropped"
+        )
     if topic.entries is not None and traffic_class.keep is not Keep.CHANGES:
         raise ConfigError(f'{where}.entries: expected a class with keep = "changes"')
 

@@ -16,7 +16,7 @@ from messages.attachment import Stamp, decode_stamp
 from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
 from shaper.endpoint import Endpoint, pump
-from shaper.events import Delivered, Event, LinkState, Receipt, Wanted
+from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.link_estimator import PresetBands
 from shaper.metrics import MetricsServer
@@ -34,6 +34,7 @@ from shaper.udp import UdpLink
 
 _NS_PER_S = 1_000_000_000
 _BUS_RETRY_S = 1.0
+_SILENCE_NS = 5 * _NS_PER_S  # after which a person should know
 _GATHER_S = 0.004  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
@@ -51,6 +52,7 @@ class Daemon:
         self._sends: Direction = "down" if config.side == "robot" else "up"
         self._timer: asyncio.TimerHandle | None = None
         self._gathering = False
+        self._silent = False
         self._outlet: BusOutlet | None = None
         now_ns = time.monotonic_ns()
         estimator = PresetBands(
@@ -165,6 +167,8 @@ class Daemon:
                 capture_unix_ns = time.time_ns() - (event.age_ns or 0)
             stamp = Stamp(capture_unix_ns, event.number)
             self._publish(event.key, event.payload, event.encoding, stamp.encode())
+        elif isinstance(event, PeerStarted):
+            _log.info("the other side %s", "has started anew" if event.again else "is heard")
         elif isinstance(event, Receipt):
             self._tell(f"receipt/{event.key}", receipt_document(event))
         elif isinstance(event, LinkState):
@@ -185,12 +189,25 @@ class Daemon:
             await asyncio.sleep(LEDGER_INTERVAL_NS / _NS_PER_S)
             now_ns = time.monotonic_ns()
             self.endpoint.set_wall_clock(time.time_ns(), now_ns)
+            self._say_whether_the_peer_is_heard(now_ns)
             record = ledger_record(self.endpoint, self._sends, now_ns)
             self._tell("ledger", record)
             for key, (budget_bytes, period_ns) in self.endpoint.demands(now_ns).items():
                 self._tell(f"demand/{key}", {"budget_bytes": budget_bytes, "period_ns": period_ns})
             if self._trace is not None:
                 self._trace.write(record)
+
+    def _say_whether_the_peer_is_heard(self, now_ns: int) -> None:
+        """Say it when that changes: a wrong address looks like a link that is down."""
+        silent = self.endpoint.silence_ns(now_ns) > _SILENCE_NS
+        if silent == self._silent:
+            return
+        self._silent = silent
+        host, port = self._config.peer
+        if silent:
+            _log.warning("nothing comes from the other side (%s:%d); going on", host, port)
+        else:
+            _log.info("the other side is heard again")
 
     def _tell(self, name: str, document: Mapping[str, object]) -> None:
         """Publish something about the link itself on the local bus; wildcards do not match it."""

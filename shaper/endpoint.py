@@ -233,6 +233,10 @@ class Endpoint:
         """What the peer says of its own counters."""
         return self._ledgers
 
+    def silence_ns(self, now_ns: int) -> int:
+        """For how long nothing has come from the peer; since the start if nothing ever has."""
+        return now_ns - self._timers.last_heard_ns
+
     def sent_ledgers(self) -> dict[str, SentLedger]:
         """Counters of the topics that this side sends, by key."""
         return self._outgoing.ledgers()

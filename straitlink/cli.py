@@ -30,6 +30,11 @@ def main() -> None:
     """Entry point of the console script."""
     try:
         app()
+    except OSError as error:
+        if error.filename is None:
+            raise
+        typer.echo(f"straitlink: {error.filename}: {error.strerror}", err=True)
+        sys.exit(EXIT_USAGE)
     except Exception as error:
         from straitlink.errors import user_errors
 

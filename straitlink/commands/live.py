@@ -16,10 +16,13 @@ def shaper(
     trace: Annotated[Path | None, typer.Option(help="Write events as JSON lines to this file.")] = None,
 ) -> None:
     """Carry this host's topics over the link, until SIGTERM or Ctrl-C."""
+    import logging
+
     from shaper.config import load_config
     from shaper.daemon import Daemon
     from straitlink.processes import run_until_signal
 
+    logging.basicConfig(level=logging.INFO, format="shaper: %(message)s")
     settings = load_config(config)
     listen, peer = (f"{host}:{port}" for host, port in (settings.listen, settings.peer))
     typer.echo(f"shaper: {settings.side} side on {listen}, peer {peer}", err=True)

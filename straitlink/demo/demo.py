@@ -20,6 +20,7 @@ from rich.live import Live
 from netem_scripts.profiles import load_profile
 from straitlink.demo.children import Child, Children
 from straitlink.demo.configs import Addresses, free_addresses, write_configs
+from straitlink.demo.errors import DemoError
 from straitlink.demo.log_topics import LogTopic, read_log_topics
 from straitlink.demo.view import LiveView
 from straitlink.recording import recover
@@ -28,6 +29,21 @@ from straitlink.report import Summary, read_run, summarise, write_page
 _SYNTHETIC_S = 60.0  # of log; repeated for as long as the demonstration lasts
 _DRAIN_S = 6.0  # after the last message was published, for what is on its way in the thin band
 _OPERATOR_KEYS = "operator/**"
+_RECORDING = "operator.mcap"
+_MARK = ".straitlink-demo"  # in a folder that demonstrations may overwrite
+_PARTS = (
+    "robot",
+    "operator",
+    "link",
+    "robot-bus",
+    "operator-bus",
+    "robot-shaper",
+    "operator-shaper",
+    "record",
+    "perception",
+    "robot-replay",
+    "operator-replay",
+)
 _CAMERAS = ("robot/head_camera/image", "robot/chest_camera/image")
 
 
@@ -54,16 +70,14 @@ class DemoResult:
 
 def run_demo(settings: DemoSettings, synthesize: Callable[[Path], None], console: Console) -> DemoResult:
     """Run it. synthesize writes the synthetic log to a path. Raises DemoError, and leaves nothing running."""
-    out = settings.out
-    out.mkdir(parents=True, exist_ok=True)
-    for old in ("*.jsonl", "*.log", "*.toml", "run.json", "report.html", "operator.mcap"):
-        for path in out.glob(old):
-            path.unlink()
     profile = load_profile(settings.profile)
+    out = settings.out
+    _refuse_a_folder_of_others(out)
     log, topics, unusable = _log_of(settings, synthesize, console)
+    _clear(out, log)
     addresses = free_addresses()
     write_configs(out, addresses, profile, topics)
-    recording = out / "operator.mcap"
+    recording = out / _RECORDING
     with _interruptible() as stop, Children(out) as children:
         sources = _start(children, settings, addresses, log, recording, unusable)
         started_s = time.monotonic()
@@ -80,6 +94,28 @@ def run_demo(settings: DemoSettings, synthesize: Callable[[Path], None], console
     return DemoResult(_valid(recording), page, summary, interrupted)
 
 
+def _refuse_a_folder_of_others(out: Path) -> None:
+    """The results of an earlier demonstration are overwritten; nobody else's files are."""
+    if out.exists() and not out.is_dir():
+        raise DemoError(f"{out} is a file: expected a folder for the results")
+    if out.exists() and any(out.iterdir()) and not (out / _MARK).exists():
+        raise DemoError(
+            f"{out} holds files that are not a demonstration's: choose an empty folder with --out"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    (out / _MARK).touch()
+
+
+def _clear(out: Path, log: Path) -> None:
+    """Remove what an earlier demonstration left; its recording may be the log of this one."""
+    names = [f"{name}{suffix}" for name in _PARTS for suffix in (".jsonl", ".log", ".toml")]
+    for name in (*names, "run.json", "report.html", _RECORDING):
+        path = out / name
+        if path.exists() and log.exists() and path.samefile(log):
+            raise DemoError(f"{log} is where this demonstration would record: give another --out")
+        path.unlink(missing_ok=True)
+
+
 def _log_of(
     settings: DemoSettings, synthesize: Callable[[Path], None], console: Console
 ) -> tuple[Path, tuple[LogTopic, ...] | None, tuple[str, ...]]:
@@ -92,7 +128,12 @@ def _log_of(
     if not log.exists():
         log.parent.mkdir(exist_ok=True)
         partial = log.with_suffix(".partial")
-        synthesize(partial)
+        console.print("making the synthetic mission, once: 60 s of log, 260 MB")
+        try:
+            synthesize(partial)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
         partial.rename(log)
     return log, None, ()
 

@@ -60,13 +60,13 @@ class Load:
 class _TopicTable(BaseModel):
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
 
-    key: str = Field(validation_alias=AliasChoices("name", "key", "topic"))
+    key: str = Field(alias="name", validation_alias=AliasChoices("name", "key", "topic"))
     direction: Literal["down", "up"]
     payload_bytes: Annotated[int, Field(ge=0, le=4_000_000)] = Field(
-        validation_alias=AliasChoices("bytes", "payload_bytes")
+        alias="bytes", validation_alias=AliasChoices("bytes", "payload_bytes")
     )
     rate_hz: Annotated[float, Field(ge=1e-6, le=100_000, allow_inf_nan=False)]
-    traffic_class: str = Field(validation_alias=AliasChoices("class", "traffic_class"))
+    traffic_class: str = Field(alias="class", validation_alias=AliasChoices("class", "traffic_class"))
     max_hz: Annotated[float, Field(ge=1e-6, le=100_000, allow_inf_nan=False)] | None = None
 
 
@@ -94,7 +94,8 @@ def load_named_or_file(name_or_path: str) -> Load:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not TOML: {error}") from error
     except ValidationError as error:
-        raise ConfigError(describe_validation_error(path, error)) from error
+        tables: dict[str, type[BaseModel]] = {"topics": _TopicTable, "classes": ClassTable}
+        raise ConfigError(describe_validation_error(path, error, _LoadTable, tables)) from error
     classes = dict(DEFAULT_CLASSES)
     for name, class_table in table.classes.items():
         try:

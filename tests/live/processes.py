@@ -129,16 +129,16 @@ def free_udp_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def straitlink_processes() -> set[int]:
-    """Pids of all `python -m straitlink` processes of this user."""
+def marked_processes(mark: str) -> set[int]:
+    """Pids of all processes with this in their environment, which children inherit."""
     found = set()
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit() or int(entry.name) == os.getpid():
             continue
         try:
-            command = (entry / "cmdline").read_bytes()
+            environment = (entry / "environ").read_bytes()
         except OSError:
             continue
-        if b"\0-m\0straitlink\0" in command:
+        if mark.encode() in environment:
             found.add(int(entry.name))
     return found

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
+import uuid
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
 from straitlink.synthetic import SyntheticSettings, synthesize
-from tests.live.processes import ROOT, straitlink_processes, wait_until
+from tests.live.processes import ROOT, marked_processes, wait_until
 
 pytestmark = pytest.mark.live
 
@@ -24,11 +26,15 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+MARK = f"STRAITLINK_TEST={uuid.uuid4()}"
+
+
 def start(log: Path, out: Path, seconds: int) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "straitlink", "demo", "--log", str(log), "--out", str(out)]
     return subprocess.Popen(
         [*command, "--seconds", str(seconds)],
         cwd=ROOT,
+        env=os.environ | dict([MARK.split("=")]),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -45,7 +51,6 @@ def messages(recording: Path) -> dict[str, list[bytes]]:
 
 
 def test_a_log_crosses_byte_for_byte_and_is_reported(log: Path, tmp_path: Path) -> None:
-    before = straitlink_processes()
     process = start(log, tmp_path / "demo", 6)
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 0, output
@@ -55,7 +60,7 @@ def test_a_log_crosses_byte_for_byte_and_is_reported(log: Path, tmp_path: Path) 
         assert set(payloads) <= set(sent[topic]), topic
     page = (tmp_path / "demo" / "report.html").read_text()
     assert "robot/joint_states" in page and "http://" not in page.replace("http://www.w3.org", "")
-    assert straitlink_processes() <= before
+    assert not marked_processes(MARK)
 
 
 def messages_of_log(log: Path) -> dict[str, list[bytes]]:
@@ -67,7 +72,6 @@ def messages_of_log(log: Path) -> dict[str, list[bytes]]:
 
 
 def test_ctrl_c_leaves_a_valid_recording_and_nothing_running(log: Path, tmp_path: Path) -> None:
-    before = straitlink_processes()
     process = start(log, tmp_path / "demo", 60)
     recording = tmp_path / "demo" / "operator.mcap"
     wait_until(lambda: recording.exists() and recording.stat().st_size > 20_000, 40)
@@ -76,15 +80,34 @@ def test_ctrl_c_leaves_a_valid_recording_and_nothing_running(log: Path, tmp_path
     assert process.returncode == 0, output
     assert "stopped early" in output
     assert messages(recording)
-    assert straitlink_processes() <= before
+    assert not marked_processes(MARK)
 
 
 def test_killing_the_demonstration_stops_its_processes(log: Path, tmp_path: Path) -> None:
-    before = straitlink_processes()
     process = start(log, tmp_path / "demo", 60)
     recording = tmp_path / "demo" / "operator.mcap"
     wait_until(lambda: recording.exists(), 40)
     time.sleep(1)
     process.kill()
     process.communicate(timeout=10)
-    wait_until(lambda: straitlink_processes() <= before, 15)
+    wait_until(lambda: not marked_processes(MARK), 15)
+
+
+def test_a_folder_of_somebody_else_s_files_is_left_alone(log: Path, tmp_path: Path) -> None:
+    notes = tmp_path / "notes.log"
+    notes.write_text("mine")
+    process = start(log, tmp_path, 6)
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 2 and "choose an empty folder with --out" in output
+    assert notes.read_text() == "mine"
+
+
+def test_a_mistake_costs_no_earlier_result(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    start(log, out, 5).communicate(timeout=60)
+    recorded = (out / "operator.mcap").read_bytes()
+    for mistaken in (tmp_path / "none.mcap", out / "operator.mcap"):
+        process = start(mistaken, out, 5)
+        output, _ = process.communicate(timeout=30)
+        assert process.returncode == 2, output
+        assert (out / "operator.mcap").read_bytes() == recorded
