@@ -198,12 +198,21 @@ def intact_records(stream: IO[bytes]) -> Iterator[McapRecord]:
     yield from _records(stream)
 
 
+def is_mcap(stream: IO[bytes]) -> bool:
+    """Whether a seekable stream begins as MCAP does; it is left at its start."""
+    stream.seek(0)
+    begins = stream.read(len(_MAGIC)) == _MAGIC
+    stream.seek(0)
+    return begins
+
+
 def _check_magic(stream: IO[bytes]) -> None:
     if stream.read(len(_MAGIC)) != _MAGIC:
-        raise RecordError(f"{getattr(stream, 'name', 'the stream')} does not begin with MCAP's magic bytes")
+        raise RecordError(f"{getattr(stream, 'name', 'the stream')} is not an MCAP file")
 
 
 def _records(stream: IO[bytes]) -> Iterator[McapRecord]:
+    channels: set[int] = set()
     while len(head := stream.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
         opcode, length = _RECORD_HEAD.unpack(head)
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
@@ -212,9 +221,12 @@ def _records(stream: IO[bytes]) -> Iterator[McapRecord]:
         if len(data) < length:
             return
         try:
-            yield from _parse(opcode, data)
+            records = _parse(opcode, data)
         except _DAMAGE:
             continue
+        channels |= {record.id for record in records if isinstance(record, Channel)}
+        # A message without its channel is another record whose opcode was damaged.
+        yield from (r for r in records if not isinstance(r, Message) or r.channel_id in channels)
 
 
 def _parse(opcode: int, data: bytes) -> list[McapRecord]:
