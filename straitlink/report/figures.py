@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from .summary import Spread
+from .summary import Spread, Summary
 
 MISSING = "\N{EN DASH}"
+_COUNTERS = (
+    *("offered", "decimated", "sent", "delivered"),
+    *("superseded", "expired", "overflow", "stale", "lost"),
+)
+
+
+def counters_told(summary: Summary) -> list[str]:
+    """The counters that some trace tells of some topic; "stale" only where a message was."""
+    values = {name: [getattr(row, name) for row in summary.topics] for name in _COUNTERS}
+    if not any(values["stale"]):
+        del values["stale"]
+    return [name for name, column in values.items() if any(value is not None for value in column)]
 
 
 def seconds(value_ns: int | None) -> str:
@@ -28,8 +40,10 @@ def count(value: int | None) -> str:
     return MISSING if value is None else f"{value:,}"
 
 
-def size(value_bytes: int) -> str:
+def size(value_bytes: int | None) -> str:
     """1_234_567 -> "1.23 MB" (decimal)."""
+    if value_bytes is None:
+        return MISSING
     for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if value_bytes >= scale * 0.9995:
             return f"{value_bytes / scale:.3g} {unit}"

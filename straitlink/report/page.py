@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from .figures import count, percent, size, spread_cells
+from .figures import count, counters_told, percent, size, spread_cells
 from .plots import WAY_NAMES, band_spans, plots
 from .run import Run
 from .summary import Summary, TopicSummary
 
 _YEAR_2000_NS = 946_684_800 * 1_000_000_000  # an earlier start is virtual time, not a date
-_COUNTERS = ("offered", "decimated", "sent", "delivered", "superseded", "expired", "overflow", "lost")
 
 
 def write_page(run: Run, summary: Summary, out: Path) -> Path:
     """Write the page and return its path."""
     here = files("straitlink.report")
     vendor = here / "vendor"
+    counters = counters_told(summary)
     data = {"plots": plots(run, summary), "bands": band_spans(run), "duration_s": summary.duration_s}
     page = Template((here / "page.html").read_text()).substitute(
         title=escape(_title(run)),
         facts=_facts(run, summary),
         directions=_directions(summary),
-        counters="".join(_counters(row) for row in summary.topics),
+        counter_names="".join(f"<th>{name}</th>" for name in counters),
+        counters="".join(_counters(row, counters) for row in summary.topics),
         ages="".join(_ages(row) for row in summary.topics),
         run_json=escape(json.dumps(dict(run.facts), indent=2, default=str)),
         style=(vendor / "uPlot.min.css").read_text(),
@@ -71,8 +73,8 @@ def _directions(summary: Summary) -> str:
     return "".join(cards)
 
 
-def _counters(row: TopicSummary) -> str:
-    return _row(row, [*(count(getattr(row, name)) for name in _COUNTERS), size(row.payload_bytes)])
+def _counters(row: TopicSummary, names: Sequence[str]) -> str:
+    return _row(row, [*(count(getattr(row, name)) for name in names), size(row.payload_bytes)])
 
 
 def _ages(row: TopicSummary) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .age import sawtooth
-from .figures import percent, seconds, size
+from .figures import count, percent, seconds, size
 from .run import DIRECTIONS, Run, Steps, Times
 from .summary import DirectionSummary, Spread, Summary
 
@@ -130,7 +130,7 @@ def _delivered(run: Run, summary: Summary, colours: dict[str, int]) -> Plot:
         counts, _ = np.histogram(run.deliveries[row.topic].t_ns, edges_ns)
         rate = np.where(counts > 0, counts / widths_s, np.nan)
         share = f" of {row.offered:,}" if row.offered is not None else ""
-        series.append(_series(row.topic, rate, f"{row.delivered:,}{share}", colours[row.topic]))
+        series.append(_series(row.topic, rate, f"{count(row.delivered)}{share}", colours[row.topic]))
     return _plot("Delivered", "/s", edges_ns, series, scale="log", note="messages per second; gaps: none")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,9 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from .traces import UNKNOWN_NS, Traces, read_traces
+from straitlink.recording import is_mcap
+
+from .traces import UNKNOWN_NS, Traces, is_trace, read_traces
 
 Times = NDArray[np.int64]
 DIRECTIONS = ("down", "up")  # down: robot to operator
@@ -88,7 +90,8 @@ class Departures:
 class Run:
     """All that is known of a run. Times are nanoseconds from its start; maps miss what no trace told.
 
-    topics: direction by topic. ledgers: final counters by topic.
+    topics: direction by topic. ledgers: final counters by topic, of both ends. sides: whose own traces
+    there are. reliable: topics whose sender counts as expired what came too late, for it was told.
     """
 
     facts: Mapping[str, Any]
@@ -101,20 +104,25 @@ class Run:
     packets: Mapping[str, Packets] = field(default_factory=dict)
     bands: Mapping[str, Steps] = field(default_factory=dict)
     malformed_lines: int = 0
+    sides: Set[str] = frozenset()
+    reliable: Set[str] = frozenset()
 
 
 def read_run(path: Path) -> Run:
-    """A run folder (run.json, robot.jsonl, operator.jsonl, link.jsonl; any may miss) or an MCAP recording.
+    """A run folder (run.json, robot.jsonl, operator.jsonl, link.jsonl; any may miss), a single trace of any
+    name, or an MCAP recording.
 
     Raises ReportError if there is nothing to report on.
     """
-    if path.is_file():
-        return _from_recording(path)
+    if not path.exists():
+        raise ReportError(f"{path}: no such file or folder")
     try:
+        if path.is_file() and not is_trace(path):
+            return _from_recording(path)
         traces = read_traces(path)
     except (OSError, ValueError) as error:
         raise ReportError(f"cannot read the run in {path}: {error}") from error
-    if not traces.found:
+    if not traces.sides:
         raise ReportError(f"{path} has none of robot.jsonl, operator.jsonl, link.jsonl: not a run folder")
     return _from_traces(traces)
 
@@ -131,6 +139,8 @@ def _from_traces(traces: Traces) -> Run:
         packets={side: _packets(rows) for side, rows in traces.packets.items()},
         bands={side: Steps(*_columns(rows, 2)) for side, rows in traces.bands.items()},
         malformed_lines=traces.malformed_lines,
+        sides=traces.sides,
+        reliable=traces.reliable,
     )
 
 
@@ -139,6 +149,8 @@ def _from_recording(path: Path) -> Run:
     topics: dict[str, list[tuple[int, ...]]] = {}
     try:
         with path.open("rb") as stream:
+            if not is_mcap(stream):
+                raise ReportError(f"{path} is not an MCAP file, nor a trace of JSON lines")
             for _schema, channel, message in make_reader(stream).iter_messages():
                 age_ns = message.log_time - message.publish_time
                 row = (message.log_time, age_ns, len(message.data))

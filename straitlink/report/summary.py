@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,19 +22,24 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class TopicSummary:
-    """One topic. None: no trace tells. age_of_information is weighted by time, the other two by delivery."""
+    """One topic. None: no trace tells. age_of_information is weighted by time, the other two by delivery.
+
+    lost: sent and never come, where both ends were traced: then no message is in two of the counters.
+    stale: came, but a newer one had overtaken it.
+    """
 
     topic: str
     direction: str
     offered: int | None
     decimated: int | None
     sent: int | None
-    delivered: int
+    delivered: int | None
     superseded: int | None
     expired: int | None
     overflow: int | None
+    stale: int | None
     lost: int | None
-    payload_bytes: int
+    payload_bytes: int | None
     one_way_delay: Spread | None
     age_at_delivery: Spread | None
     age_of_information: Spread | None
@@ -53,8 +59,8 @@ class DirectionSummary:
     capacity_bytes: int | None
     utilisation: float | None
     queue_delay: Spread | None
-    packets: int
-    dropped: int
+    packets: int | None
+    dropped: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,23 +89,56 @@ def _topic(run: Run, topic: str) -> TopicSummary:
     ledger = run.ledgers.get(topic, {})
     deliveries = run.deliveries.get(topic)
     course = None if deliveries is None else sawtooth(deliveries, run.duration_ns)
-    seen = 0 if deliveries is None else deliveries.t_ns.size
+    delivered, payload_bytes = _arrived(run, topic, ledger)
     return TopicSummary(
         topic=topic,
         direction=run.topics[topic],
         offered=ledger.get("offered"),
         decimated=ledger.get("decimated"),
         sent=ledger.get("sent"),
-        delivered=max(seen, ledger.get("delivered", 0)),
+        delivered=delivered,
         superseded=ledger.get("superseded"),
-        expired=ledger.get("expired"),
+        expired=_expired(run, topic, ledger),
         overflow=ledger.get("overflow"),
-        lost=ledger.get("lost"),
-        payload_bytes=0 if deliveries is None else int(deliveries.payload_bytes.sum()),
+        stale=ledger.get("stale"),
+        lost=_lost(run, topic, ledger, delivered),
+        payload_bytes=payload_bytes,
         one_way_delay=None if deliveries is None else spread(deliveries.one_way_delay_ns),
         age_at_delivery=None if deliveries is None else spread(deliveries.age_ns),
         age_of_information=None if course is None else Spread(*course.quantiles_ns((0.50, 0.95, 1.0))),
     )
+
+
+def _arrived(run: Run, topic: str, ledger: Mapping[str, int]) -> tuple[int | None, int | None]:
+    """(messages delivered, their payload bytes); None where the receiver was not traced."""
+    deliveries = run.deliveries.get(topic)
+    if deliveries is not None:
+        seen = int(deliveries.t_ns.size)
+        return max(seen, ledger.get("delivered", 0)), int(deliveries.payload_bytes.sum())
+    receiver = "operator" if run.topics[topic] == "down" else "robot"
+    return (ledger.get("delivered", 0), 0) if receiver in run.sides else (None, None)
+
+
+def _expired_there(run: Run, topic: str, ledger: Mapping[str, int]) -> int:
+    """Messages that came too late, of which the sender was not told."""
+    return 0 if topic in run.reliable else ledger.get("expired_there", 0)
+
+
+def _expired(run: Run, topic: str, ledger: Mapping[str, int]) -> int | None:
+    """At either end; the receiver alone cannot know how many expired before they came."""
+    return ledger["expired"] + _expired_there(run, topic, ledger) if "expired" in ledger else None
+
+
+def _lost(run: Run, topic: str, ledger: Mapping[str, int], delivered: int | None) -> int | None:
+    """Sent and neither delivered nor dropped on arrival; without the sender, what the receiver counts.
+
+    The receiver counts message numbers that were passed over, and so also messages of which the sender
+    gave up the rest midway, which are expired or superseded in the sender's counters.
+    """
+    if "sent" not in ledger or delivered is None:
+        return ledger.get("lost")
+    dropped = _expired_there(run, topic, ledger) + ledger.get("stale", 0)
+    return max(ledger["sent"] - delivered - dropped, 0)  # a killed sender's last ledger may be 1 s old
 
 
 def _direction(run: Run, side: str) -> DirectionSummary:
@@ -115,8 +154,8 @@ def _direction(run: Run, side: str) -> DirectionSummary:
         capacity_bytes=capacity_bytes,
         utilisation=wire_bytes / capacity_bytes if capacity_bytes else None,
         queue_delay=None if packets is None else spread(packets.queue_delay_ns[~packets.dropped]),
-        packets=0 if packets is None else packets.t_ns.size,
-        dropped=0 if packets is None else int(packets.dropped.sum()),
+        packets=None if packets is None else packets.t_ns.size,
+        dropped=None if packets is None else int(packets.dropped.sum()),
     )
 
 

@@ -8,10 +8,8 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from .figures import count, percent, size, spread_cells
+from .figures import count, counters_told, percent, size, spread_cells
 from .summary import Summary, TopicSummary
-
-COUNTERS = ("offered", "decimated", "sent", "delivered", "superseded", "expired", "overflow", "lost")
 
 
 def print_table(summary: Summary, console: Console | None = None) -> None:
@@ -26,8 +24,7 @@ def print_table(summary: Summary, console: Console | None = None) -> None:
 
 
 def _counters(summary: Summary) -> Table:
-    """Counters that no trace tells of any topic are left out."""
-    kept = [name for name in COUNTERS if any(getattr(row, name) is not None for row in summary.topics)]
+    kept = counters_told(summary)
     table = _topics(f"Messages over {summary.duration_s:.1f} s", (*kept, "payload"))
     for row in summary.topics:
         counters = (count(getattr(row, name)) for name in kept)
@@ -36,10 +33,15 @@ def _counters(summary: Summary) -> Table:
 
 
 def _ages(summary: Summary) -> Table:
-    table = _topics("Ages: p50, p95, max", ("one-way delay", "", "", "age of information", "", ""))
+    heads = [
+        f"{first}\n{second}\n{rank}"
+        for name in ("one-way delay", "age at delivery", "age of information")
+        for first, second, rank in ((*name.rsplit(" ", 1), "p50"), ("", "", "p95"), ("", "", "max"))
+    ]
+    table = _topics("Ages", heads)
     for row in summary.topics:
-        spreads = (*spread_cells(row.one_way_delay), *spread_cells(row.age_of_information))
-        table.add_row(_name(row), *spreads)
+        spreads = (row.one_way_delay, row.age_at_delivery, row.age_of_information)
+        table.add_row(_name(row), *(cell for spread in spreads for cell in spread_cells(spread)))
     return table
 
 
@@ -63,7 +65,7 @@ def _directions(summary: Summary) -> Table:
     for name in ("queue p50", "p95", "max"):
         table.add_column(name, justify="right")
     for row in summary.directions:
-        carried = size(row.wire_bytes), size(row.capacity_bytes or 0), percent(row.utilisation)
+        carried = size(row.wire_bytes), size(row.capacity_bytes), percent(row.utilisation)
         packets = count(row.packets), count(row.dropped)
         table.add_row(row.direction, *carried, *packets, *spread_cells(row.queue_delay))
     return table

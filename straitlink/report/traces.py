@@ -1,4 +1,4 @@
-"""Reads a run folder's JSON lines and puts robot, operator and link on one time line."""
+"""Reads a run's JSON lines, of a folder or one file, and puts robot, operator and link on one time line."""
 
 from __future__ import annotations
 
@@ -15,23 +15,32 @@ Event = dict[str, Any]
 UNKNOWN_NS = -(2**63)  # a delay that the receiver could not tell yet (null in the trace)
 _SENDS = {"robot": "down", "operator": "up"}  # the direction that a side sends into
 _RECEIVES = {"robot": "up", "operator": "down"}
-_COUNTED_BY_SENDER = ("offered", "decimated", "superseded", "expired", "overflow", "sent", "sent_bytes")
-_COUNTED_BY_RECEIVER = ("delivered", "lost", "received_bytes")
+# What a side counts of a topic, and the name that a row of both sides' counters has for it.
+_COUNTED_BY_SENDER = {
+    name: name for name in ("offered", "decimated", "superseded", "expired", "overflow", "sent", "sent_bytes")
+}
+_COUNTED_BY_RECEIVER = {
+    **{name: name for name in ("delivered", "lost", "stale", "received_bytes")},
+    "expired": "expired_there",
+}
 _MALFORMED = (ValueError, KeyError, TypeError, AttributeError)
 
 
 @dataclass(slots=True)
 class Traces:
-    """The events of a run folder, times in nanoseconds from the start of the run, rows by topic or direction.
+    """The events of a run, times in nanoseconds from its start, rows by topic or direction.
 
+    sides: whose own traces there are, of robot, operator and link. reliable: topics whose sender waits
+    for receipts. ledgers: counters of both sides by topic; expired_there is the receiver's "expired".
     delivered: (t, age, one-way delay, payload bytes). departures: (t, wire bytes). estimates and
     bands: (t, rate in bit/s). packets: (t, wire bytes, queue delay, dropped 0 | 1).
     """
 
     facts: Event = field(default_factory=dict)
-    found: list[str] = field(default_factory=list)
+    sides: set[str] = field(default_factory=set)
     duration_ns: int = 1
     topics: dict[str, str] = field(default_factory=dict)
+    reliable: set[str] = field(default_factory=set)
     ledgers: dict[str, dict[str, int]] = field(default_factory=dict)
     delivered: Rows = field(default_factory=lambda: defaultdict(list))
     departures: Rows = field(default_factory=lambda: defaultdict(list))
@@ -52,19 +61,35 @@ class Traces:
         return max((event[0] for rows in all_rows for events in rows.values() for event in events), default=0)
 
 
-def read_traces(folder: Path) -> Traces:
-    """All that the folder has. Lines that are not JSON, or lack a field, are counted and passed over."""
+def is_trace(path: Path) -> bool:
+    """Whether a file may be JSON lines: it begins with an object."""
+    with path.open("rb") as stream:
+        return stream.read(1) == b"{"
+
+
+def read_traces(path: Path) -> Traces:
+    """All that a run folder has, or the one trace that path is, whose start line names its side.
+
+    Lines that are not JSON, or lack a field, are counted and passed over. Raises ValueError for a file
+    without a start line, and for a run.json that is not JSON.
+    """
     traces = Traces()
-    if (folder / "run.json").exists():
-        traces.facts = json.loads((folder / "run.json").read_text())
-    begins: dict[str, tuple[int, int]] = {}  # file -> (t_ns, unix_ns) of its first start line
-    for name in ("robot", "operator", "link"):
-        path = folder / f"{name}.jsonl"
-        if path.exists():
-            traces.found.append(name)
-            begin = _TraceFile(traces, name).read(path)
-            if begin is not None:
-                begins[name] = begin
+    files = {name: path / f"{name}.jsonl" for name in ("robot", "operator", "link")}
+    if path.is_file():
+        traces.facts = {"kind": "trace", "source": path.name}
+        files = {"": path}
+    elif (path / "run.json").exists():
+        traces.facts = json.loads((path / "run.json").read_text())
+    begins: dict[str, tuple[int, int]] = {}  # side -> (t_ns, unix_ns) of its first start line
+    for name, file in files.items():
+        if file.exists():
+            trace = _TraceFile(traces, name)
+            trace.read(file)
+            if not trace.side:
+                raise ValueError("no start line names the side that wrote it")
+            traces.sides.add(trace.side)
+            if trace.begin is not None:
+                begins[trace.side] = trace.begin
     origin_ns = _origin_ns(traces.facts, begins)
     traces.shift(origin_ns)
     traces.facts.setdefault("start_unix_ns", origin_ns)
@@ -88,11 +113,14 @@ def _origin_ns(facts: Event, begins: dict[str, tuple[int, int]]) -> int:
 
 
 class _TraceFile:
-    """One file's events, on unix time; a "start" line in its midst is a process that began again."""
+    """One file's events, on unix time; a "start" line in its midst is a process that began again.
 
-    def __init__(self, traces: Traces, name: str) -> None:
+    side: "robot", "operator", "link", or "" until a start line tells.
+    """
+
+    def __init__(self, traces: Traces, side: str) -> None:
         self.traces = traces
-        self.side = name
+        self.side = side
         self.unix_from_t_ns = 0
         self.begin: tuple[int, int] | None = None
         self.ledger: Event = {}
@@ -101,11 +129,12 @@ class _TraceFile:
             "sent": self._sent,
             "link_state": self._link_state,
             "ledger": self._ledger,
+            "receipt": self._receipt,
             "packet": self._packet,
             "band": self._band,
         }
 
-    def read(self, path: Path) -> tuple[int, int] | None:
+    def read(self, path: Path) -> None:
         with path.open(encoding="utf-8", errors="replace") as lines:
             for line in lines:
                 try:
@@ -113,7 +142,6 @@ class _TraceFile:
                 except _MALFORMED:
                     self.traces.malformed_lines += 1
         self._bank_ledger()
-        return self.begin
 
     def _event(self, event: Event) -> None:
         if event["event"] == "start":
@@ -147,6 +175,9 @@ class _TraceFile:
     def _ledger(self, event: Event, t_ns: int) -> None:
         self.ledger = event["topics"]
 
+    def _receipt(self, event: Event, t_ns: int) -> None:
+        self.traces.reliable.add(event["topic"])
+
     def _packet(self, event: Event, t_ns: int) -> None:
         dropped = event["dropped"] is not None
         row = (t_ns, int(event["wire_bytes"]), int(event["queue_delay_ns"] or 0), int(dropped))
@@ -162,9 +193,7 @@ class _TraceFile:
             self.traces.topics[topic] = direction
             sends = _SENDS.get(self.side) == direction
             row = self.traces.ledgers.setdefault(topic, {})
-            for name in _COUNTED_BY_SENDER if sends else _COUNTED_BY_RECEIVER:
-                if counters.get(name) is not None:
-                    row[name] = row.get(name, 0) + int(counters[name])
-            if not sends and counters.get("expired"):  # the receiver's age gate
-                row["expired"] = row.get("expired", 0) + int(counters["expired"])
+            for counted, name in (_COUNTED_BY_SENDER if sends else _COUNTED_BY_RECEIVER).items():
+                if counters.get(counted) is not None:
+                    row[name] = row.get(name, 0) + int(counters[counted])
         self.ledger = {}

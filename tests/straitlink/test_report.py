@@ -14,6 +14,9 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from rich.console import Console
 
+from netem_scripts.profiles import load_profile
+from straitlink.mission import MissionSettings, load_named_or_file
+from straitlink.mission.output import run_and_save
 from straitlink.report import ReportError, print_table, read_run, summarise
 from straitlink.report.age import sawtooth
 from straitlink.report.figures import seconds, size
@@ -277,14 +280,111 @@ def test_a_recording_alone_tells_deliveries_and_ages(tmp_path: Path) -> None:
 def test_the_table_names_every_topic_and_its_figures(tmp_path: Path) -> None:
     write_run(tmp_path)
     text = io.StringIO()
-    print_table(summary_of(tmp_path)[0], Console(file=text, width=100))
+    print_table(summary_of(tmp_path)[0], Console(file=text, width=110))
     assert text.getvalue().count("heartbeat") == text.getvalue().count("plan") == 2
     assert "250 ms" in text.getvalue() and "17.2 %" in text.getvalue()
     assert "…" not in text.getvalue()  # a usual terminal cuts nothing off
 
 
+def printed(summary: Summary) -> str:
+    text = io.StringIO()
+    print_table(summary, Console(file=text, width=110))
+    return text.getvalue()
+
+
+def test_the_ages_of_long_names_and_long_delays_fit_a_terminal() -> None:
+    late = Spread(99_990 * MS, 99_990 * MS, 99_990 * MS)
+    row = TopicSummary("robot/head_camera/overview", "down", None, None, None, 4, None, None, None, None, None, 20, late, late, late)  # fmt: skip
+    text = printed(Summary(3.0, (row,), (), 0))
+    assert text.count("99.99 s") == 9
+    assert all(word in text for word in ("delay", "delivery", "information")) and "…" not in text
+
+
+def test_messages_given_up_midway_are_not_lost_too(tmp_path: Path) -> None:
+    write_run(tmp_path)
+    operator, robot = Trace.__new__(Trace), Trace.__new__(Trace)
+    operator.path, operator.clock_ns = tmp_path / "operator.jsonl", OPERATOR_NS
+    robot.path, robot.clock_ns = tmp_path / "robot.jsonl", ROBOT_NS
+    # Of 20 offered, 3 expired before their last fragment left: the receiver misses their numbers.
+    sent = {"direction": "down", "offered": 20, "expired": 3, "superseded": 0, "decimated": 0, "overflow": 0, "sent": 17}  # fmt: skip
+    came = {"direction": "down", "delivered": 11, "lost": 5, "stale": 2, "expired": 3}
+    robot.event("ledger", 11, topics={"big": sent})
+    operator.event("ledger", 11, topics={"big": came})
+    summary, topics = summary_of(tmp_path)
+    row = topics["big"]
+    assert (row.delivered, row.stale, row.expired, row.lost) == (11, 2, 3 + 3, 17 - 11 - 3 - 2)
+    assert "stale" in printed(summary)
+
+
+def test_a_reliable_message_that_came_too_late_counts_once(tmp_path: Path) -> None:
+    robot, operator = Trace(tmp_path, "robot", ROBOT_NS), Trace(tmp_path, "operator", OPERATOR_NS)
+    operator.event("receipt", 1, topic="plan", tag=1, stage="expired")
+    operator.event("ledger", 2, topics={"plan": {"direction": "up", "offered": 3, "expired": 1, "sent": 2}})
+    robot.event("ledger", 2, topics={"plan": {"direction": "up", "delivered": 2, "lost": 0, "expired": 1}})
+    row = summary_of(tmp_path)[1]["plan"]
+    assert (row.offered, row.delivered, row.expired, row.lost) == (3, 2, 1, 0)
+
+
+def test_the_report_counts_as_the_mission_does(tmp_path: Path) -> None:
+    settings = MissionSettings(load_profile("trials"), load_named_or_file("camera-flood"), 60 * S, 1)
+    result = run_and_save(settings, tmp_path, None)
+    _, topics = summary_of(tmp_path)
+    for topic, row in result["topics"].items():
+        if row["local"]:
+            continue
+        found = topics[topic]
+        names = ("offered", "decimated", "delivered", "superseded", "expired", "overflow", "stale", "lost")
+        told = {name: getattr(found, name) or 0 for name in names}
+        assert told == {name: row[name] for name in names}, topic
+        assert sum(told.values()) - told["offered"] + row["in_flight"] == told["offered"], topic
+
+
+@pytest.mark.parametrize(("side", "sends", "receives"), [("robot", "heartbeat", "plan"), ("operator", "plan", "heartbeat")])  # fmt: skip
+def test_a_single_trace_of_any_name_tells_what_its_side_knows(
+    tmp_path: Path, side: str, sends: str, receives: str
+) -> None:
+    write_run(tmp_path)
+    path = (tmp_path / f"{side}.jsonl").rename(tmp_path / "today.trace")
+    summary, topics = summary_of(path)
+    assert (topics[sends].delivered, topics[sends].lost, topics[sends].payload_bytes) == (None, None, None)
+    assert topics[sends].sent is not None
+    assert (topics[receives].offered, topics[receives].sent, topics[receives].expired) == (None, None, None)
+    assert topics[receives].delivered == (1 if side == "robot" else 10)
+    assert summary.malformed_lines == 0
+    [line] = [line for line in printed(summary).splitlines() if sends in line and " B" not in line][:1]
+    assert "\N{EN DASH}" in line
+
+
+def test_what_is_no_run_is_refused_by_what_it_is(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match=r"absent: no such file or folder"):
+        read_run(tmp_path / "absent")
+    notes = tmp_path / "README.md"
+    notes.write_text("# Notes")
+    with pytest.raises(ReportError, match=r"README\.md is not an MCAP file, nor a trace"):
+        read_run(notes)
+    notes.write_text('{"event": "delivered"}\n')
+    with pytest.raises(ReportError, match=r"no start line names the side"):
+        read_run(notes)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(ReportError, match=r"cut\.mcap is not a finished MCAP file .*recover it first"):
+        read_run(cut)
+
+
+def test_a_recording_s_age_at_delivery_is_printed(tmp_path: Path) -> None:
+    path = tmp_path / "operator.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/imu", "json", 0)
+        writer.add_message(channel, UNIX_NS, b"12345", UNIX_NS - 200 * MS)
+        writer.finish()
+    [line] = [line for line in printed(summary_of(path)[0]).splitlines() if "ms" in line]
+    assert "\N{EN DASH} 200 ms 200 ms 200 ms" in " ".join(line.split())  # no one-way delay, but an age
+
+
 def test_the_table_leaves_out_counters_that_nobody_kept() -> None:
-    row = TopicSummary("imu", "down", None, None, None, 4, None, None, None, None, 20, None, None, None)
+    row = TopicSummary("imu", "down", None, None, None, 4, None, None, None, None, None, 20, None, None, None)
     text = io.StringIO()
     print_table(Summary(3.0, (row,), (), 0), Console(file=text, width=100))
     assert "delivered" in text.getvalue() and "expired" not in text.getvalue()
