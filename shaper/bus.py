@@ -61,12 +61,15 @@ def open_bus(settings: BusSettings) -> zenoh.Session:
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            raise BusError(f"zenoh option {path} = {value!r} is refused: {error}") from error
+            # Zenoh's texts go on with where in its own source the error arose.
+            reason = str(error).partition(" at /")[0].rpartition('msg: "')[2]
+            raise BusError(f"zenoh option {path} = {value!r} is refused: {reason}") from error
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         where = f"listen {list(settings.listen)}, connect {list(settings.connect)}"
-        raise BusError(f"cannot open the Zenoh bus ({where}): {error}") from error
+        reason = str(error).partition(" at /")[0].rstrip("! ")
+        raise BusError(f"cannot open the Zenoh bus ({where}): {reason}") from error
 
 
 @dataclass(frozen=True, slots=True)
