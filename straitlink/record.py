@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import IO
 
 import zenoh
+from mcap.exceptions import McapError
 
 from messages.attachment import decode_stamp
 from shaper.bus import BusSettings, open_bus
 
-from .recording import AttachedFile, RecordError, RecordingFile
+from .recording import AttachedFile, RecordError, RecordingFile, is_mcap
 from .schemas import SchemaLibrary
 
 __all__ = [
@@ -115,9 +116,7 @@ class Recorder:
         self._settings = settings
         self._arrivals = _Arrivals(settings.queue_bytes)
         self._keys = list(_subscriptions(settings.keys))
-        library = SchemaLibrary()
-        for log in settings.logs:
-            library.add_log(log)
+        library = _library(settings.logs)
         self._session = open_bus(settings.bus)  # first: a bus that is not there costs no earlier recording
         try:
             self._file = RecordingFile(_open_out(settings), library)
@@ -235,6 +234,23 @@ class _Arrivals:
             arrival_ns, sample, sample_bytes = self._samples.popleft()
             self._bytes -= sample_bytes
             return arrival_ns, sample
+
+
+def _library(logs: Sequence[Path]) -> SchemaLibrary:
+    library = SchemaLibrary()
+    for log in logs:
+        try:
+            with log.open("rb") as stream:
+                if not is_mcap(stream):
+                    raise RecordError(f"record schemas: {log} is not an MCAP file")
+            library.add_log(log)
+        except OSError as error:
+            raise RecordError(f"record schemas: cannot read {log}: {error.strerror}") from error
+        except (McapError, ValueError) as error:
+            raise RecordError(
+                f"record schemas: {log} is not a finished MCAP file ({error}); recover it first"
+            ) from error
+    return library
 
 
 def _open_out(settings: RecordSettings) -> IO[bytes]:

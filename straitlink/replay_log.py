@@ -12,6 +12,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.records import Channel
 from mcap.summary import Summary
 
+from .recording import is_mcap
 from .replay_timing import NS_PER_S
 from .schemas import ZENOH_ENCODING_KEY, PayloadType, zenoh_encoding
 
@@ -31,6 +32,8 @@ def open_log(path: Path) -> Iterator[tuple[McapReader, Summary]]:
     except OSError as error:
         raise ReplayError(f"cannot open the log {path}: {error.strerror}") from error
     with stream:
+        if not is_mcap(stream):
+            raise ReplayError(f"{path} is not an MCAP file")
         try:
             reader = make_reader(stream)
             summary = reader.get_summary()

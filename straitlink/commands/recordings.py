@@ -6,17 +6,29 @@ import json
 import signal
 import threading
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from straitlink.commands.console import wide_console
 from straitlink.commands.progress import progress_bar
 
+if TYPE_CHECKING:
+    from shaper.bus import BusSettings
+
 app = typer.Typer()
 
 Connect = Annotated[list[str], typer.Option("--connect", "-e", help="Zenoh endpoint, tcp/127.0.0.1:7447.")]
 Listen = Annotated[list[str], typer.Option("--listen", "-l", help="Zenoh endpoint to listen on.")]
+
+
+def bus_at(listen: list[str], connect: list[str]) -> BusSettings:
+    """The bus that the options name. Raises BusError where they name none."""
+    from shaper.bus import BusError, BusSettings
+
+    if not listen and not connect:
+        raise BusError("give --connect or --listen: the bus to open")
+    return BusSettings(listen, connect)
 
 
 def stop_on_signals() -> threading.Event:
@@ -43,7 +55,6 @@ def replay(
     ] = "now",
 ) -> None:
     """Publish a log on a Zenoh bus with its own timing, payload bytes untouched."""
-    from shaper.bus import BusSettings
     from straitlink.replay import Progress, ReplaySettings
     from straitlink.replay import replay as run
 
@@ -55,7 +66,7 @@ def replay(
         summary = run(
             ReplaySettings(
                 log,
-                BusSettings(listen, connect),
+                bus_at(listen, connect),
                 rate=rate,
                 loop=loop,
                 include=topics,
@@ -91,7 +102,6 @@ def record(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT where it exists.")] = False,
 ) -> None:
     """Record a Zenoh bus as MCAP (log_time = arrival, publish_time = capture), until Ctrl-C."""
-    from shaper.bus import BusSettings
     from straitlink.record import AttachedFile, RecordSettings
     from straitlink.record import record as run
 
@@ -99,7 +109,7 @@ def record(
     summary = run(
         RecordSettings(
             out,
-            BusSettings(listen, connect),
+            bus_at(listen, connect),
             overwrite=overwrite,
             keys=keys,
             logs=schemas,
@@ -119,7 +129,7 @@ def record(
 def recover(
     log: Annotated[Path, typer.Argument(help="A recording that was cut off.")],
     out: Annotated[
-        Path | None, typer.Option(help="Where to write; NAME.recovered.mcap unless given.")
+        Path | None, typer.Option(help="Where to write; NAME_recovered.mcap beside it unless given.")
     ] = None,
 ) -> None:
     """Make a valid MCAP file of what a killed recorder left."""
@@ -130,7 +140,9 @@ def recover(
 
 @app.command()
 def report(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or an MCAP file.")],
+    run_folder: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Folder of a run, a trace, or an MCAP file.")
+    ],
     html: Annotated[Path | None, typer.Option(help="The page; RUN/report.html unless given.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:

@@ -214,6 +214,13 @@ def test_a_sample_larger_than_the_whole_queue_still_passes_alone() -> None:
     assert (len(arrivals), arrivals.dropped) == (1, 0)
 
 
+def test_a_leading_slash_of_a_key_is_taken_as_a_topic_s(tmp_path: Path, session: FakeSession) -> None:
+    settings = RecordSettings(tmp_path / "a.mcap", BusSettings(), keys=("/tilt/scan", "camera/**"))
+    settings.stop.set()
+    record_module.record(settings)
+    assert session.keys == ["tilt/scan", "camera/**"]
+
+
 def test_overlapping_keys_record_a_sample_once() -> None:
     subscriptions = list(record_module._subscriptions(("camera/**", "imu", "**")))
     assert [[str(key) for key in earlier] for _key, earlier in subscriptions] == [
@@ -267,12 +274,29 @@ def test_a_bus_that_is_not_there_costs_no_recording(tmp_path: Path, monkeypatch:
     assert out.read_bytes() == b"earlier"
 
 
+def test_a_file_of_schemas_that_is_none_is_told(tmp_path: Path) -> None:
+    notes = tmp_path / "README.md"
+    notes.write_text("# Notes")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(write_recording(tmp_path / "whole.mcap")[:-40])
+    told = {
+        tmp_path / "absent.mcap": r"schemas: cannot read .*absent\.mcap: No such file or directory",
+        notes: r"schemas: .*README\.md is not an MCAP file$",
+        cut: r"schemas: .*cut\.mcap is not a finished MCAP file .*recover it first",
+    }
+    for path, words in told.items():
+        with pytest.raises(RecordError, match=words):
+            record_module.record(RecordSettings(tmp_path / "a.mcap", BusSettings(), logs=[path]))
+
+
 class FakeSession:
     def __init__(self) -> None:
         self.closed = False
+        self.keys: list[str] = []
 
-    def declare_subscriber(self, _key: object, _on_sample: object) -> None:
+    def declare_subscriber(self, key: object, _on_sample: object) -> None:
         assert not self.closed
+        self.keys.append(str(key))
 
     def close(self) -> None:
         self.closed = True

@@ -174,6 +174,10 @@ def test_a_log_that_cannot_be_replayed_is_refused_before_the_bus_is_opened(tmp_p
         replay(settings(log, start_s=5.0))
     with pytest.raises(ReplayError, match="cannot open the log"):
         replay(settings(tmp_path / "absent.mcap"))
+    notes = tmp_path / "README.md"
+    notes.write_text("# Notes")
+    with pytest.raises(ReplayError, match=r"README\.md is not an MCAP file$"):
+        replay(settings(notes))
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log.read_bytes()[:-40])
     with pytest.raises(ReplayError, match="recover it first"):
