@@ -133,7 +133,7 @@ def _lost(run: Run, topic: str, ledger: Mapping[str, int], delivered: int | None
     """Sent and neither delivered nor dropped on arrival; without the sender, what the receiver counts.
 
     The receiver counts message numbers that were passed over, and so also messages of which the sender
-    gave up the rest midway, which are expired or superseded in the sender's counters.
+    gave up the rest midway, which the sender counts as expired.
     """
     if "sent" not in ledger or delivered is None:
         return ledger.get("lost")
