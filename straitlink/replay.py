@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 _PROGRESS_INTERVAL_NS = 100_000_000
+_LATE_SUBSCRIBER_NS = 300_000_000  # on one host subscriptions are told within milliseconds of each other
 # One wake-up publishes all that came due: at 4,000 messages/s this halves the CPU of one sleep per
 # message and costs half a millisecond of lateness.
 _WAKE_UP_QUANTUM_S = 0.0005
@@ -275,11 +276,20 @@ class _Run:
         return not stop.is_set()
 
     def _wait_for_subscribers(self) -> tuple[str, ...]:
-        """Topics still without a subscriber when the wait is over."""
-        give_up_ns = time.monotonic_ns() + round(self.settings.subscriber_wait_s * NS_PER_S)
+        """Topics still without a subscriber when the wait is over.
+
+        Some topics may have none at all: once others have, it ends when no more come for a while.
+        """
+        limit_ns = time.monotonic_ns() + round(self.settings.subscriber_wait_s * NS_PER_S)
+        give_up_ns = limit_ns
         waiting = list(self.outlets.values())
+        left = len(waiting)
         while waiting := [outlet for outlet in waiting if not outlet.matched]:
-            if time.monotonic_ns() >= give_up_ns or self.settings.stop.wait(0.005):
+            now_ns = time.monotonic_ns()
+            if len(waiting) < left:
+                left = len(waiting)
+                give_up_ns = min(limit_ns, now_ns + _LATE_SUBSCRIBER_NS)
+            if now_ns >= give_up_ns or self.settings.stop.wait(0.005):
                 break
         return tuple(sorted({outlet.topic for outlet in waiting}))
 
