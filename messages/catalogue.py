@@ -57,7 +57,7 @@ class CatalogueTopic:
         return str(self.message_type.DESCRIPTOR.full_name)
 
 
-# The controllers run on a 3 ms tick, so what the issue and the paper call 333 Hz is exactly 1000/3 Hz.
+# The controllers run on a 3 ms tick, so what the paper calls 333 Hz is exactly 1000/3 Hz.
 CONTROL_RATE_HZ = 1000 / 3
 
 CATALOGUE: tuple[CatalogueTopic, ...] = (

@@ -201,11 +201,10 @@ def decode_entries(data: bytes) -> tuple[dict[int, bytes | None], bool]:
 
 
 def _split(payload: bytes, entries: Entries | None) -> dict[int, Entry]:
-    if entries is not None:
-        try:
-            return split_entries(
-                payload, entries.field, entries.key, entries.ignored, entries.ignored_outside
-            )
-        except NotProtobufError:
-            pass  # not the table that the rule expects: then it changes as a whole
-    return {REST: Entry(payload, payload)}
+    whole = {REST: Entry(payload, payload)}
+    if entries is None:
+        return whole
+    try:
+        return split_entries(payload, entries.field, entries.key, entries.ignored, entries.ignored_outside)
+    except NotProtobufError:
+        return whole  # not the table that the rule expects: then it changes as a whole

@@ -40,7 +40,7 @@ _LIGHT: list[Row] = [
     *_OPERATOR,
 ]
 
-# The load of issue figures elsewhere: a camera that asks for more than three times the thin band.
+# The load on which other stacks were measured too: a camera that asks for three times the thin band.
 _CAMERA_FLOOD: list[Row] = [
     _row("robot/heartbeat", "down", 64, 10, "heartbeat"),
     _row("robot/joints", "down", 160, 20, "state"),

@@ -1,4 +1,4 @@
-"""What leaves when, what is repeated, and what it costs: issue 3's figures in virtual time."""
+"""What leaves when, what is repeated, and what it costs, in virtual time."""
 
 from __future__ import annotations
 

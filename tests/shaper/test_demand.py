@@ -144,7 +144,7 @@ GREEDY = TopicRule(
 @pytest.mark.parametrize("band", [FAST, THIN], ids=["fast", "thin"])
 @pytest.mark.parametrize("share", [0.05, 0.2])
 def test_a_guaranteed_share_is_given_within_one_per_cent_for_a_minute(band: PresetBand, share: float) -> None:
-    """Point 6 of issue 3: tier 1 saturates the link."""
+    """A guarantee holds while tier 1 saturates the link."""
     pair = Pair(rules=(GREEDY, *RULES), bands=(band,), guaranteed={5: share})
     got = saturate(pair, 60, {"greedy": 7_000, "bulk/log": 2_000})
     assert got["bulk/log"] / sum(got.values()) == pytest.approx(share, abs=0.01)

@@ -69,7 +69,7 @@ def test_a_mission_s_result_is_json_on_demand() -> None:
         (["report", "/nowhere"], "/nowhere"),
         (["replay", "/nowhere.mcap", "--connect", "tcp/127.0.0.1:1"], "/nowhere.mcap"),
         (["messages", "--proto", "/nowhere.proto"], "/nowhere.proto"),
-        (["demo", "--log", "/nowhere.mcap", "--out", "/tmp/straitlink-no-demo"], "/nowhere.mcap"),
+        (["replay", "/nowhere.mcap"], "give --connect or --listen"),
     ],
 )
 def test_a_mistake_is_an_error_of_ours_that_names_it(arguments: list[str], complaint: str) -> None:
