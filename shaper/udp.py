@@ -51,9 +51,10 @@ class UdpLink(asyncio.DatagramProtocol):
             self._transport.sendto(datagram, self._peer)
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the socket; nothing leaves from now on."""
         if self._transport is not None:
             self._transport.close()
+            self._transport = None  # asyncio itself would still send until the loop turns
 
     # asyncio.DatagramProtocol
 

@@ -88,6 +88,7 @@ def test_killing_the_demonstration_stops_its_processes(log: Path, tmp_path: Path
     recording = tmp_path / "demo" / "operator.mcap"
     wait_until(lambda: recording.exists(), 40)
     time.sleep(1)
+    assert len(marked_processes(MARK)) > 5  # the buses, the link, the shapers and more
     process.kill()
     process.communicate(timeout=10)
     wait_until(lambda: not marked_processes(MARK), 15)

@@ -85,8 +85,15 @@ def test_a_port_in_use_is_told() -> None:
 
 def test_nothing_is_sent_after_close() -> None:
     async def story() -> None:
-        link = await UdpLink.open(free_address(), free_address(), lambda d: None)
-        link.close()
-        link.send(b"late")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+            peer.bind(("127.0.0.1", 0))
+            peer.settimeout(0.2)
+            link = await UdpLink.open(free_address(), peer.getsockname(), lambda d: None)
+            link.send(b"in time")
+            assert peer.recv(100) == b"in time"
+            link.close()
+            link.send(b"late")
+            with pytest.raises(TimeoutError):
+                peer.recv(100)
 
     run(story)
