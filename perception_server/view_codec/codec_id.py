@@ -1,0 +1,35 @@
+"""The first byte of every encoded view: which product it is and how it was coded.
+
+The high nibble is the product, the low one the codec. A number, once given, is never given again.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, unique
+
+from .errors import DecodeError
+
+
+@unique
+class CodecId(IntEnum):
+    """Every codec there is; docs/view_codecs.md has the bytes that follow."""
+
+    MAP_ZLIB = 0x10  # the paper's: quantised cells, zlib
+    MAP_SERPENTINE = 0x11  # differences along a serpentine, zstd
+    MAP_CONTEXT = 0x12  # context mixing
+    CLOUD_ZLIB = 0x20  # the paper's: interleaved x, y, z, zlib
+    CLOUD_ZSTD = 0x21  # breadth-first occupancy, zstd
+    CLOUD_CONTEXT = 0x22  # breadth-first occupancy, context mixing
+    OCTREE_ZSTD = 0x31
+    OCTREE_CONTEXT = 0x32
+    IMAGE_JPEG = 0x40  # a JPEG without the tables that every decoder knows
+
+
+def codec_of(data: bytes) -> CodecId:
+    """The codec that wrote the message. Raises DecodeError for an empty one and for unknown codecs."""
+    if not data:
+        raise DecodeError("a view of 0 bytes has no codec byte")
+    try:
+        return CodecId(data[0])
+    except ValueError:
+        raise DecodeError(f"codec 0x{data[0]:02x} is unknown") from None
