@@ -8,5 +8,6 @@ from __future__ import annotations
 
 from .codec_id import CodecId, codec_of
 from .errors import DecodeError, EncodeError, ViewCodecError
+from .jpeg import pack_jpeg, unpack_jpeg
 
-__all__ = ["CodecId", "DecodeError", "EncodeError", "ViewCodecError", "codec_of"]
+__all__ = ["CodecId", "DecodeError", "EncodeError", "ViewCodecError", "codec_of", "pack_jpeg", "unpack_jpeg"]

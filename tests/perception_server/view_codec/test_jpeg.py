@@ -1,0 +1,197 @@
+"""JPEGs travel smaller and come back as files of the same pixels."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from perception_server.view_codec import CodecId, DecodeError, EncodeError, pack_jpeg, unpack_jpeg
+
+Picture = NDArray[np.uint8]
+
+SAMPLINGS = {"4:4:4": 0x111111, "4:2:2": 0x211111, "4:2:0": 0x221111, "4:4:0": 0x121111, "4:1:1": 0x411111}
+
+
+def picture(width: int = 256, height: int = 136, seed: int = 0, grey: bool = False) -> Picture:
+    """Edges, gradients and grain, as a camera sees them."""
+    random = np.random.default_rng(seed)
+    shape = (height, width, 3)
+    y, x = np.mgrid[0:height, 0:width]
+    base = np.stack([90 + 40 * np.sin(x / 17 + k) + 30 * np.cos(y / 11 - k) for k in range(3)], axis=2)
+    for _ in range(6):
+        top, left = random.integers(0, height), random.integers(0, width)
+        base[top : top + height // 3, left : left + width // 4] += random.normal(0, 60, 3)
+    noisy = np.clip(base + random.normal(0, 5, shape), 0, 255).astype(np.uint8)
+    return noisy[:, :, 0] if grey else noisy
+
+
+def jpeg_of(image: Picture, quality: int = 50, *, sampling: str = "4:2:0", **wishes: int) -> bytes:
+    """OpenCV's JPEG; wishes are names of its parameters after IMWRITE_JPEG_."""
+    parameters = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, SAMPLINGS[sampling]]
+    for name, value in wishes.items():
+        parameters += [getattr(cv2, f"IMWRITE_JPEG_{name}"), value]
+    return bytes(cv2.imencode(".jpg", image, parameters)[1])
+
+
+def pixels(jpeg: bytes) -> Picture:
+    return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def with_segment(jpeg: bytes, marker: int, body: bytes) -> bytes:
+    """The file with one more segment right behind SOI."""
+    return jpeg[:2] + bytes([0xFF, marker]) + (len(body) + 2).to_bytes(2, "big") + body + jpeg[2:]
+
+
+def assert_same_picture(jpeg: bytes, rebuilt: bytes) -> None:
+    np.testing.assert_array_equal(pixels(rebuilt), pixels(jpeg))
+
+
+CODECS = [None, CodecId.IMAGE_JPEG, CodecId.IMAGE_FILE]
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_an_ordinary_jpeg_comes_back_as_a_baseline_file_of_the_same_pixels(codec: CodecId | None) -> None:
+    jpeg = jpeg_of(picture())
+    rebuilt = unpack_jpeg(pack_jpeg(jpeg, codec=codec))
+    assert_same_picture(jpeg, rebuilt)
+    assert rebuilt.count(b"\xff\xc0") == 1  # SOF0: baseline
+    assert rebuilt.count(b"\xff\xc2") == 0  # SOF2: progressive
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "quality", "saving"),
+    [(256, 136, 50, 0.10), (200, 200, 70, 0.10), (512, 272, 50, 0.05)],
+)
+def test_what_every_decoder_knows_is_not_sent(width: int, height: int, quality: int, saving: float) -> None:
+    jpegs = [jpeg_of(picture(width, height, seed), quality) for seed in range(5)]
+    assert sum(len(pack_jpeg(jpeg)) for jpeg in jpegs) <= (1 - saving) * sum(map(len, jpegs))
+
+
+@settings(max_examples=40)
+@given(
+    width=st.integers(1, 70),
+    height=st.integers(1, 70),
+    quality=st.integers(1, 100),
+    sampling=st.sampled_from(sorted(SAMPLINGS)),
+    grey=st.booleans(),
+    wishes=st.sampled_from(
+        [{}, {"OPTIMIZE": 1}, {"PROGRESSIVE": 1}, {"RST_INTERVAL": 1}, {"RST_INTERVAL": 7}]
+    ),
+    seed=st.integers(0, 1000),
+    codec=st.sampled_from(CODECS),
+)
+def test_any_jpeg_keeps_its_pixels_and_never_grows(
+    width: int,
+    height: int,
+    quality: int,
+    sampling: str,
+    grey: bool,
+    wishes: dict[str, int],
+    seed: int,
+    codec: CodecId | None,
+) -> None:
+    jpeg = jpeg_of(picture(width, height, seed, grey), quality, sampling=sampling, **wishes)
+    message = pack_jpeg(jpeg, codec=codec)
+    assert len(message) <= len(jpeg) + 1
+    assert_same_picture(jpeg, unpack_jpeg(message))
+
+
+@pytest.mark.parametrize("quality", [1, 50, 100])
+def test_noise_at_any_quality_keeps_its_pixels(quality: int) -> None:
+    noise = np.random.default_rng(3).integers(0, 256, (41, 63, 3), dtype=np.uint8)
+    jpeg = jpeg_of(noise, quality)
+    assert_same_picture(jpeg, unpack_jpeg(pack_jpeg(jpeg)))
+
+
+@pytest.mark.parametrize(
+    ("marker", "body"),
+    [
+        (0xE1, b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"),
+        (0xEE, b"Adobe\0d\0\0\0\0\0"),
+        (0xFE, b"a comment"),
+    ],
+)
+def test_metadata_that_changes_how_a_picture_is_shown_is_kept(marker: int, body: bytes) -> None:
+    jpeg = with_segment(jpeg_of(picture()), marker, body)
+    message = pack_jpeg(jpeg)
+    rebuilt = unpack_jpeg(message)
+    assert body in rebuilt
+    assert len(message) < len(jpeg)
+    assert_same_picture(jpeg, rebuilt)
+
+
+def test_a_file_without_a_jfif_segment_stays_without_one() -> None:
+    jpeg = jpeg_of(picture())
+    bare = jpeg[:2] + jpeg[20:]
+    rebuilt = unpack_jpeg(pack_jpeg(bare))
+    assert b"JFIF" not in rebuilt
+    assert_same_picture(bare, rebuilt)
+
+
+def test_quantisation_tables_of_another_encoder_are_kept() -> None:
+    jpeg = bytearray(jpeg_of(picture()))
+    at = jpeg.index(b"\xff\xdb") + 5
+    jpeg[at : at + 64] = bytes(range(3, 67))
+    assert_same_picture(bytes(jpeg), unpack_jpeg(pack_jpeg(bytes(jpeg))))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda jpeg: jpeg[:-2],
+        lambda jpeg: jpeg[: len(jpeg) // 2] + b"\xff\xd9",
+        lambda jpeg: jpeg + b"behind the end",
+        lambda jpeg: jpeg[:-2] + b"\0\xff\xd9",
+        lambda jpeg: b"no JPEG",
+        lambda jpeg: jpeg[:300],
+    ],
+)
+def test_a_file_that_is_not_sound_travels_as_it_is(damage: object) -> None:
+    jpeg = damage(jpeg_of(picture()))  # type: ignore[operator]
+    assert unpack_jpeg(pack_jpeg(jpeg)) == jpeg
+
+
+@settings(max_examples=60)
+@given(place=st.integers(2, 3000), value=st.integers(0, 255))
+def test_a_damaged_jpeg_never_comes_back_as_another_picture(place: int, value: int) -> None:
+    jpeg = bytearray(jpeg_of(picture(96, 64, seed=4)))
+    jpeg[place % len(jpeg)] = value
+    try:
+        shown = pixels(bytes(jpeg))
+    except cv2.error:
+        shown = None
+    rebuilt = unpack_jpeg(pack_jpeg(bytes(jpeg)))
+    if shown is not None:
+        np.testing.assert_array_equal(pixels(rebuilt), shown)
+
+
+def test_a_restart_marker_that_hides_a_large_step_of_brightness_does_no_harm() -> None:
+    halves = np.zeros((16, 16), np.uint8)
+    halves[:, 8:] = 255
+    jpeg = jpeg_of(halves, 100, RST_INTERVAL=1)
+    assert_same_picture(jpeg, unpack_jpeg(pack_jpeg(jpeg)))
+
+
+@given(st.binary(max_size=300))
+@example(b"")
+@example(bytes([CodecId.IMAGE_JPEG]))
+@example(bytes([CodecId.IMAGE_JPEG, 3, 50, 255, 255, 255, 255]))
+@example(bytes([CodecId.IMAGE_JPEG, 7, 255, 255, 255]))
+@example(bytes([CodecId.CLOUD_ZSTD, 0]))
+def test_hostile_bytes_are_an_error_or_a_file(data: bytes) -> None:
+    for message in (data, bytes([CodecId.IMAGE_JPEG]) + data):
+        try:
+            assert isinstance(unpack_jpeg(message), bytes)
+        except DecodeError as error:
+            assert str(error)
+
+
+def test_our_own_mistakes_are_said_in_a_sentence() -> None:
+    with pytest.raises(EncodeError, match="0 bytes is outside"):
+        pack_jpeg(b"")
+    with pytest.raises(EncodeError, match="does not code JPEG files"):
+        pack_jpeg(jpeg_of(picture()), codec=CodecId.CLOUD_ZSTD)
