@@ -9,25 +9,18 @@ is no authentication either: a flipped bit of the body arrives as a flipped bit.
 from __future__ import annotations
 
 import hashlib
-import importlib
 from collections.abc import Callable
 
-from messages.dccl.errors import SchemaError
+from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 
 
 def body_cipher(passphrase: str) -> Callable[[bytes, bytes], bytes]:
     """A function of head and body bytes that encrypts the body, and decrypts it likewise."""
-    try:
-        ciphers = importlib.import_module("cryptography.hazmat.primitives.ciphers")
-    except ImportError as error:
-        raise SchemaError(
-            "DCCL's encryption needs AES: install straitlink[encryption] (cryptography)"
-        ) from error
-    key = ciphers.algorithms.AES(hashlib.sha256(passphrase.encode()).digest())
+    key = algorithms.AES(hashlib.sha256(passphrase.encode()).digest())
 
     def apply(head: bytes, body: bytes) -> bytes:
         counter = hashlib.sha256(head).digest()[:16]
-        stream = ciphers.Cipher(key, ciphers.modes.CTR(counter)).encryptor()
-        return bytes(stream.update(body) + stream.finalize())
+        stream = Cipher(key, modes.CTR(counter)).encryptor()
+        return stream.update(body) + stream.finalize()
 
     return apply

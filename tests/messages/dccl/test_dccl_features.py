@@ -121,19 +121,12 @@ def test_conditions_without_lua_say_what_to_install(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_body_is_encrypted_and_the_head_is_not() -> None:
-    pytest.importorskip("cryptography")
     secret = declare(number("to", 0, 31, "uint32", in_head=True), number("x", 0, 2**30, "uint32"))
     plain, closed = Codec(secret), Codec(secret, insecure_passphrase="sesame")
     sent = secret(to=9, x=123_456_789)
     assert plain.encode(sent)[:2] == closed.encode(sent)[:2]
     assert plain.encode(sent)[2:] != closed.encode(sent)[2:]
     assert closed.decode(closed.encode(sent)) == sent
-
-
-def test_encryption_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    without(monkeypatch, "cryptography", "cryptography.hazmat.primitives.ciphers")
-    with pytest.raises(SchemaError, match=r"install straitlink\[encryption\]"):
-        Codec(declare(number("x", 0, 1)), insecure_passphrase="sesame")
 
 
 # CODECS FROM OUTSIDE
