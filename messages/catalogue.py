@@ -22,7 +22,7 @@ from messages.proto.straitlink.heartbeat_pb2 import Heartbeat
 from messages.proto.straitlink.imu_pb2 import Imu
 from messages.proto.straitlink.motion_plan_pb2 import MotionPlan
 from messages.proto.straitlink.process_status_pb2 import ProcessStatus
-from messages.proto.straitlink.view_request_pb2 import ViewRequest
+from messages.proto.straitlink.view_pb2 import ViewRequest
 from messages.proto.straitlink.wrench_pb2 import Wrench
 
 Direction = Literal["down", "up"]

@@ -9,7 +9,7 @@ import numpy as np
 from messages.catalogue import CATALOGUE, CatalogueTopic
 from messages.proto.straitlink.footstep_plan_pb2 import FootstepPlan
 from messages.proto.straitlink.motion_plan_pb2 import MotionPlan
-from messages.proto.straitlink.view_request_pb2 import ViewRequest
+from messages.proto.straitlink.view_pb2 import ViewRequest
 from straitlink.synthetic.gait import ANKLE_HEIGHT_M, STEP_RATE_HZ, foot_poses
 from straitlink.synthetic.joints import JOINT_NAMES, LOWER_RAD, UPPER_RAD, joint_positions
 from straitlink.synthetic.rigid import quaternion_from_rotation
@@ -20,11 +20,11 @@ _STREAM = 130
 _ARMS_AND_BACK = 16  # the first joints of the table
 _KNOT_PERIOD_NS = 200_000_000
 _VIEWS = (
-    ("terrain", ViewRequest.FORMAT_HEIGHT_MAP, 5_000_000_000),
-    ("workspace", ViewRequest.FORMAT_RANGE_MAP, 0),
-    ("head_camera", ViewRequest.FORMAT_IMAGE, 1_000_000_000),
-    ("workspace", ViewRequest.FORMAT_CLOUD, 0),
-    ("terrain", ViewRequest.FORMAT_HEIGHT_MAP, -1),
+    ("height_map_scene", ViewRequest.FORMAT_HEIGHT_MAP, 5_000),
+    ("range_map_workspace", ViewRequest.FORMAT_RANGE_MAP, 0),
+    ("height_map_corridor", ViewRequest.FORMAT_HEIGHT_MAP, 10_000),
+    ("cloud_workspace", ViewRequest.FORMAT_CLOUD, 0),
+    ("height_map_scene", ViewRequest.FORMAT_HEIGHT_MAP, -1),  # cancelled
 )
 
 _Event = Callable[[int, int, SyntheticSettings, np.random.Generator], bytes]
@@ -78,9 +78,9 @@ def view_request(
     request_id: int, capture_ns: int, settings: SyntheticSettings, random: np.random.Generator
 ) -> bytes:
     """One of the views in turn: some once, some repeated, some cancelled."""
-    preset, form, period_ns = _VIEWS[request_id % len(_VIEWS)]
+    preset, form, period_ms = _VIEWS[request_id % len(_VIEWS)]
     request = ViewRequest(
-        capture_ns=capture_ns, request_id=request_id, preset=preset, format=form, period_ns=period_ns
+        capture_ns=capture_ns, request_id=request_id, preset=preset, format=form, period_ms=period_ms
     )
     return request.SerializeToString()
 
