@@ -11,13 +11,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from messages.payload import TopicEncoding
 from shaper.bus import BusSettings
+from shaper.encodings import EncodingTable, build_encoding
 from shaper.endpoint import EndpointSettings
 from shaper.errors import ConfigError
 from shaper.incoming import Limits
 from shaper.key_expression import check_key_expression, is_key
 from shaper.link_estimator import PresetBand
 from shaper.traffic_class import DEFAULT_CLASSES, Compression, Entries, Keep, TopicRule, TrafficClass
+from shaper.wire_type import by_digest
 
 _NS_PER_MS = 1_000_000
 _NS_PER_S = 1_000_000_000
@@ -62,6 +65,7 @@ class _TopicTable(_Table):
     weight: Annotated[float, Field(ge=0.001, le=1000)] = 1.0
     entries: _EntriesTable | None = None
     pull: bool = False
+    encoding: str | None = None
 
     @field_validator("key")
     @classmethod
@@ -132,6 +136,7 @@ class _ShaperTable(_Table):
     metrics: _MetricsTable | None = None
     topics: Annotated[list[_TopicTable], Field(min_length=1)]
     limits: _LimitsTable = _LimitsTable()
+    encodings: dict[str, EncodingTable] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +237,7 @@ def _known_keys(
     """What may stand at a place, found by walking the tables down to it."""
     table = root
     for part in loc[:-1]:
-        if table is not ClassTable and not isinstance(part, int):
+        if table not in (ClassTable, EncodingTable) and not isinstance(part, int):
             table = tables.get(part, table)
     return ", ".join(f.alias or name for name, f in table.model_fields.items())
 
@@ -247,6 +252,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "tiers": _TierTable,
     "entries": _EntriesTable,
     "metrics": _MetricsTable,
+    "encodings": EncodingTable,
 }
 
 
@@ -257,7 +263,9 @@ def _checked_expression(value: str) -> str:
     return value
 
 
-def _check_topic(where: str, topic: _TopicTable, traffic_class: TrafficClass) -> None:
+def _check_topic(
+    where: str, topic: _TopicTable, traffic_class: TrafficClass, encodings: Mapping[str, TopicEncoding]
+) -> None:
     if topic.pull and not is_key(topic.key):
         raise ConfigError(f"{where}.pull = true: expected a key without wildcards, not {topic.key!r}")
     if topic.pull and (traffic_class.reliable or traffic_class.keep is Keep.CHANGES):
@@ -269,6 +277,19 @@ def _check_topic(where: str, topic: _TopicTable, traffic_class: TrafficClass) ->
         )
     if topic.entries is not None and traffic_class.keep is not Keep.CHANGES:
         raise ConfigError(f'{where}.entries: expected a class with keep = "changes"')
+    if topic.encoding is None:
+        return
+    if traffic_class.keep is Keep.CHANGES:
+        raise ConfigError(
+            f'{where}.encoding: expected none with keep = "changes": a shared state crosses as differences'
+        )
+    if topic.compression is not Compression.RAW:
+        raise ConfigError(f"{where}.compression: expected none beside an encoding, which packs by itself")
+    if topic.encoding not in encodings:
+        known = ", ".join(encodings) or "there is no such table"
+        raise ConfigError(
+            f"{where}.encoding = {json.dumps(topic.encoding)}: expected one of [encodings]: {known}"
+        )
 
 
 def _guaranteed(table: _ShaperTable, path: Path) -> dict[int, float]:
@@ -286,6 +307,10 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
             classes[name] = class_from_table(name, class_table, classes)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
+    encodings = {
+        name: build_encoding(f"{path}: encodings.{name}", row, path.parent)
+        for name, row in table.encodings.items()
+    }
     rules = []
     for index, topic in enumerate(table.topics):
         if topic.traffic_class not in classes:
@@ -294,7 +319,7 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
                 f"{path}: topics[{index}].class = {topic.traffic_class!r}: expected one of {known}"
             )
         period_ns = 0 if topic.max_hz is None else round(_NS_PER_S / topic.max_hz)
-        _check_topic(f"{path}: topics[{index}]", topic, classes[topic.traffic_class])
+        _check_topic(f"{path}: topics[{index}]", topic, classes[topic.traffic_class], encodings)
         rules.append(
             TopicRule(
                 topic.key,
@@ -304,6 +329,7 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
                 topic.weight,
                 None if topic.entries is None else topic.entries.to_entries(),
                 topic.pull,
+                None if topic.encoding is None else encodings[topic.encoding],
             )
         )
     limits = Limits(
@@ -319,7 +345,12 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         peer=parse_address(link.peer),
         bus=BusSettings(table.zenoh.listen, table.zenoh.connect, table.zenoh.mode, table.zenoh.config),
         endpoint=EndpointSettings(
-            tuple(rules), tuple(link.accept), link.max_datagram_bytes, limits, _guaranteed(table, path)
+            tuple(rules),
+            tuple(link.accept),
+            link.max_datagram_bytes,
+            limits,
+            _guaranteed(table, path),
+            by_digest(encodings.values()),
         ),
         bands=tuple(
             PresetBand(b.name, b.rate_bps, round(b.one_way_delay_ms * _NS_PER_MS)) for b in link.bands

@@ -16,7 +16,7 @@ from messages.attachment import Stamp, decode_stamp
 from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
 from shaper.endpoint import Endpoint, pump
-from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt, Wanted
+from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.link_estimator import PresetBands
 from shaper.metrics import MetricsServer
@@ -171,6 +171,9 @@ class Daemon:
             _log.info("the other side %s", "has started anew" if event.again else "is heard")
         elif isinstance(event, Receipt):
             self._tell(f"receipt/{event.key}", receipt_document(event))
+        elif isinstance(event, EncodingTrouble):
+            _log.warning("%s: %d %s: %s", event.key, event.count, event.what, event.reason)
+            self._tell(f"encoding/{event.key}", asdict(event))
         elif isinstance(event, LinkState):
             self._tell("link", asdict(event))
         elif isinstance(event, Wanted):

@@ -41,6 +41,7 @@ _TYPE_MASK = 0x07
 _NAMED, _LATEST, _COMPRESSED, _RELIABLE, _CODED = 0x08, 0x10, 0x20, 0x40, 0x80
 _SENT_HALF = 0x08  # of a ledger frame: the sender's counters, not the receiver's
 
+_OUTCOMES = frozenset(Outcome)
 _NUMBER = struct.Struct("<H")
 _RECEIPT_ROW = struct.Struct("<HB")
 _HELLO_BODY = struct.Struct("<q")
@@ -320,7 +321,7 @@ def _read_receipt(data: bytes, at: int) -> tuple[Frame, int]:
         topic_id, at = read_varint(data, at)
         number, outcome = _unpack(_RECEIPT_ROW, data, at)
         at += _RECEIPT_ROW.size
-        if outcome not in (Outcome.DELIVERED, Outcome.EXPIRED):
+        if outcome not in _OUTCOMES:
             raise DecodeError(f"a receipt's outcome {outcome} is unknown")
         receipts.append((topic_id, number, Outcome(outcome)))
     return ReceiptFrame(epoch, tuple(receipts)), at

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from shaper.events import Event
 from shaper.queues import Payload, TopicQueue
 from shaper.traffic_class import TopicRule
 
@@ -52,8 +53,14 @@ class PullQueue(TopicQueue):
 
     __slots__ = ("asked_ns", "wanted")
 
-    def __init__(self, key: str, rule: TopicRule, wake: Callable[[TopicQueue], None]) -> None:
-        super().__init__(key, rule, wake)
+    def __init__(
+        self,
+        key: str,
+        rule: TopicRule,
+        wake: Callable[[TopicQueue], None],
+        tell: Callable[[Event], None] = lambda event: None,
+    ) -> None:
+        super().__init__(key, rule, wake, tell)
         self.wanted = False  # the turn has come: the driver is to ask
         self.asked_ns: int | None = None  # since when an answer is awaited
 

@@ -44,6 +44,7 @@ from shaper.path import Content, Path
 from shaper.queues import Payload, TopicQueue
 from shaper.timers import Due, Timers
 from shaper.traffic_class import TopicRule
+from shaper.wire_type import Encodings
 
 _CREDIT_NS = 10_000_000  # what a late timer may catch up, as time at the present rate
 _CONFIRMATIONS_PER_DATAGRAM = 32  # topics or messages at a time; more wait for the next datagram
@@ -58,6 +59,7 @@ class EndpointSettings:
     rules: topics that this side sends, first match wins. accept: key expressions that it takes.
     max_datagram_bytes: UDP payload, excluding IP and UDP headers.
     guaranteed: by tier, the share (0..1) of the bytes that it gets whatever the tiers above it want.
+    encodings: by digest, those in which this side can read messages (`shaper.wire_type.by_digest`).
     """
 
     rules: tuple[TopicRule, ...]
@@ -65,6 +67,7 @@ class EndpointSettings:
     max_datagram_bytes: int = 1200
     limits: Limits = field(default_factory=Limits)
     guaranteed: Mapping[int, float] = field(default_factory=dict)
+    encodings: Encodings = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -187,9 +190,9 @@ class Endpoint:
 
     def next_event(self) -> Event | None:
         """The oldest event not handed over yet, or None."""
-        if self._outgoing.receipts:
-            self._events.extend(self._outgoing.receipts)
-            self._outgoing.receipts.clear()
+        if self._outgoing.events:
+            self._events.extend(self._outgoing.events)
+            self._outgoing.events.clear()
         return self._events.popleft() if self._events else None
 
     def wakeup_at_ns(self, now_ns: int) -> int:
@@ -408,8 +411,14 @@ class Endpoint:
         if former is not None and former.epoch == epoch:
             self._incoming = former
         else:
+            settings = self._settings
             self._incoming = Incoming(
-                epoch, self._settings.limits, self._settings.accept, self.received_ledgers
+                epoch,
+                settings.limits,
+                settings.accept,
+                self.received_ledgers,
+                settings.encodings,
+                self._events.append,
             )
         self._timers.on_peer_met(now_ns)
         self._events.append(PeerStarted(epoch, again))

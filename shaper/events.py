@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,8 @@ class ReceiptStage(StrEnum):
     DELIVERED = "delivered"
     EXPIRED = "expired"  # its time to live ended, here or on arrival: it was not delivered
     SHED = "shed"  # it gave way in a full queue
+    REFUSED = "refused"  # its topic's encoding cannot carry it
+    UNREADABLE = "unreadable"  # it arrived, but the receiver cannot read its encoding
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,21 @@ class Wanted:
 
     key: str
     budget_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class EncodingTrouble:
+    """A topic's encoding and its payloads do not agree; told once in ten seconds for a topic at most.
+
+    what: "refused" (a payload that cannot be encoded was dropped), "altered" (it was sent, but changed),
+    or "unreadable" (one from the peer was dropped). reason: the newest, naming field and bound. count: how
+    many messages it befell since it was last told.
+    """
+
+    key: str
+    what: Literal["refused", "altered", "unreadable"]
+    reason: str
+    count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,4 +96,4 @@ class LinkState:
     holding: bool
 
 
-Event = Delivered | Receipt | Wanted | PeerStarted | LinkState
+Event = Delivered | Receipt | Wanted | EncodingTrouble | PeerStarted | LinkState

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 from shaper.frames import MESSAGE_NUMBER_BITS, TopicName
 from shaper.ledger import ReceivedLedger
+from shaper.reader import Reader
 from shaper.reliable import MAX_OUTSTANDING
 from shaper.serial_number import ReceivedWindow, expand, expand_above
 from shaper.shared_state import decode_entries
+from shaper.trouble import TroubleTeller
 
 _WINDOW = 256  # message numbers in which a late one is told from a new one
 
@@ -181,8 +183,10 @@ Inbox = PlainInbox | ReliableInbox | StateInbox
 
 @dataclass(frozen=True, slots=True)
 class InTopic:
-    """One of the peer's topic ids: what it stands for, and whether we take it."""
+    """One of the peer's topic ids: what it stands for, how it is read, and whether we take it."""
 
     name: TopicName
+    reader: Reader
+    trouble: TroubleTeller
     ledger: ReceivedLedger
     accepted: bool

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from messages.payload import PayloadError
 from shaper.compression import unpack
 from shaper.errors import DecodeError
-from shaper.events import Delivered
+from shaper.events import Delivered, Event
 from shaper.fragments import Reassembled, Reassembler
 from shaper.frames import (
     ARRIVED_BITS,
@@ -28,7 +29,10 @@ from shaper.inbox import Arrived, Budget, Inbox, InTopic, PlainInbox, ReliableIn
 from shaper.key_expression import is_key, matches
 from shaper.ledger import ReceivedLedger
 from shaper.path import Content, PeerClock
+from shaper.reader import reader_of
 from shaper.serial_number import ReceivedWindow, expand
+from shaper.trouble import TroubleTeller
+from shaper.wire_type import Encodings
 
 _MAX_EARLIER = 40  # arrivals named in one report beside the newest
 _MAX_RECEIPTS = 4096  # that wait to be told; a sender of ours has fewer messages outstanding
@@ -68,7 +72,13 @@ class Incoming:
     """One life of the peer: everything here is forgotten when its epoch changes."""
 
     def __init__(
-        self, epoch: int, limits: Limits, accept: tuple[str, ...], ledgers: dict[str, ReceivedLedger]
+        self,
+        epoch: int,
+        limits: Limits,
+        accept: tuple[str, ...],
+        ledgers: dict[str, ReceivedLedger],
+        encodings: Encodings,
+        tell: Callable[[Event], None],
     ) -> None:
         self.epoch = epoch
         self.clock = PeerClock()
@@ -81,6 +91,8 @@ class Incoming:
         self._limits = limits
         self._accept = accept
         self._ledgers = ledgers
+        self._encodings = encodings
+        self._tell = tell
         self._window = ReceivedWindow()
         self._old_in_a_row = 0
         self._topics: dict[int, InTopic] = {}
@@ -159,8 +171,7 @@ class Incoming:
         number = self._inbox(topic, PlainInbox).arrived(frame.number, frame.latest)
         if number is None:
             return []
-        delivered = self._deliver(message, number, now_ns)
-        return [] if delivered is None else [delivered]
+        return _only_delivered(self._deliver(message, number, now_ns))
 
     def on_skip(self, frame: SkipFrame, now_ns: int) -> list[Delivered]:
         """Reliable messages will not come; those that waited for them can be delivered."""
@@ -183,8 +194,7 @@ class Incoming:
         self._receipts.append((message.topic_id, message.number, Outcome.DELIVERED))
         if state is None:
             return []
-        delivered = self._deliver(replace(message, payload=state), message.number, now_ns)
-        return [] if delivered is None else [delivered]
+        return _only_delivered(self._deliver(replace(message, payload=state), message.number, now_ns))
 
     def _deliver_reliable(
         self, topic_id: int, messages: list[Arrived], missed: list[int], now_ns: int
@@ -193,28 +203,36 @@ class Incoming:
         self._receipts.extend((topic_id, number, Outcome.EXPIRED) for number in missed)
         for message in messages:
             each = self._deliver(message, message.number, now_ns)
-            outcome = Outcome.EXPIRED if each is None else Outcome.DELIVERED
+            outcome = Outcome.DELIVERED if isinstance(each, Delivered) else each
             self._receipts.append((message.topic_id, message.number, outcome))
-            if each is not None:
-                delivered.append(each)
+            delivered += _only_delivered(each)
         return delivered
 
-    def _deliver(self, message: Arrived, number: int, now_ns: int) -> Delivered | None:
-        """The message for the bus; None if it is older than its time to live."""
+    def _deliver(self, message: Arrived, number: int, now_ns: int) -> Delivered | Outcome:
+        """The message for the bus, or what else becomes of it: it is too old, or cannot be read."""
         topic = self._topics[message.topic_id]
         age_ns = self.clock.delay_ns(message.capture_us, now_ns)
         ttl_ns = topic.name.ttl_ms * _NS_PER_MS
         if ttl_ns and age_ns is not None and age_ns > ttl_ns:
             topic.ledger.expired += 1
-            return None
-        topic.ledger.on_delivered(message.packed_bytes, age_ns)
+            return Outcome.EXPIRED
         unix = self._unix_minus_stamp_ns
+        capture_unix_ns = None if unix is None else message.capture_us * 1000 + unix
+        try:
+            payload = topic.reader.read(message.payload, self._limits.max_message_bytes, capture_unix_ns)
+        except PayloadError as error:
+            topic.ledger.unreadable += 1
+            trouble = topic.trouble.note("unreadable", str(error), now_ns)
+            if trouble is not None:
+                self._tell(trouble)
+            return Outcome.UNREADABLE
+        topic.ledger.on_delivered(message.packed_bytes, age_ns)
         return Delivered(
             key=topic.name.key,
-            payload=message.payload,
-            encoding=topic.name.encoding,
+            payload=payload.data,
+            encoding=payload.type,
             number=number,
-            capture_unix_ns=None if unix is None else message.capture_us * 1000 + unix,
+            capture_unix_ns=capture_unix_ns,
             one_way_delay_ns=self.clock.delay_ns(message.first_sent_us, now_ns),
             age_ns=age_ns,
         )
@@ -259,7 +277,9 @@ class Incoming:
         ledger = self._ledgers.get(name.key, ReceivedLedger())
         if accepted and len(self._ledgers) < self._limits.max_topics:  # lives of the peer have no limit
             self._ledgers[name.key] = ledger
-        topic = self._topics[topic_id] = InTopic(name, ledger, accepted)
+        reader = reader_of(name.encoding, self._encodings)
+        topic = InTopic(name, reader, TroubleTeller(name.key), ledger, accepted)
+        self._topics[topic_id] = topic
         return topic
 
     def take_report(self) -> ReportFrame:
@@ -315,3 +335,7 @@ class Incoming:
         """The key that an id of the peer's stands for, if we take it."""
         topic = self._topics.get(topic_id)
         return topic.name.key if topic is not None and topic.accepted else None
+
+
+def _only_delivered(result: Delivered | Outcome) -> list[Delivered]:
+    return [result] if isinstance(result, Delivered) else []

@@ -14,10 +14,12 @@ class SentLedger:
     """Counters of one topic where it enters the link.
 
     Every offered message ends in exactly one of decimated, superseded, expired, overflow (shed by a
-    full queue) or sent, or waits: offered == decimated + superseded + expired + overflow + sent + queued.
+    full queue), refused (its topic's encoding cannot carry it) or sent, or waits:
+    offered == decimated + superseded + expired + overflow + refused + sent + queued.
     A reliable message counts as sent when the receiver has said that it delivered it, others when their
     last byte has left. sent_bytes: message bytes that left, as packed, of messages given up on the way
-    too, without repetitions and parity; repeated_bytes: both of these.
+    too, without repetitions and parity; repeated_bytes: both of these. altered: messages that the
+    encoding changed to carry them (a value clamped to its bound); they count on like any other, here only.
     """
 
     offered: int = 0
@@ -28,11 +30,13 @@ class SentLedger:
     sent: int = 0
     sent_bytes: int = 0
     repeated_bytes: int = 0
+    refused: int = 0
+    altered: int = 0
 
     @property
     def queued(self) -> int:
-        settled = self.decimated + self.superseded + self.expired + self.overflow + self.sent
-        return self.offered - settled
+        settled = self.decimated + self.superseded + self.expired + self.overflow + self.refused
+        return self.offered - settled - self.sent
 
     def as_dict(self) -> dict[str, int]:
         return asdict(self)
@@ -48,6 +52,7 @@ class SentLedger:
             self.sent,
             self.sent_bytes,
             self.repeated_bytes,
+            self.refused,
         )
 
 
@@ -58,6 +63,7 @@ class ReceivedLedger:
     lost: message numbers that were passed over by later ones and have not come.
     stale: samples of a `latest` topic that a newer one had overtaken on the way.
     expired: messages that came whole, but after their time to live: not delivered.
+    unreadable: messages that came in time, but in an encoding that this side lacks or that does not fit.
     ages: histogram of the ages at delivery, by AGE_BOUNDS_MS.
     """
 
@@ -66,6 +72,7 @@ class ReceivedLedger:
     stale: int = 0
     expired: int = 0
     received_bytes: int = 0
+    unreadable: int = 0
     ages: list[int] = field(default_factory=lambda: [0] * (len(AGE_BOUNDS_MS) + 1))
 
     def on_delivered(self, received_bytes: int, age_ns: int | None) -> None:
@@ -80,4 +87,11 @@ class ReceivedLedger:
 
     def counters(self) -> tuple[int, ...]:
         """Those that cross the link."""
-        return (self.delivered, self.lost, self.stale, self.expired, self.received_bytes)
+        return (
+            self.delivered,
+            self.lost,
+            self.stale,
+            self.expired,
+            self.received_bytes,
+            self.unreadable,
+        )

@@ -56,8 +56,10 @@ class LedgerExchange:
         for topic_id, counters in frame.rows:
             queue = outgoing.queue_of(topic_id)
             if queue is not None:
-                delivered, lost, stale, expired, received_bytes = counters
-                self.received[queue.key] = ReceivedLedger(delivered, lost, stale, expired, received_bytes)
+                delivered, lost, stale, expired, received_bytes, unreadable = counters
+                self.received[queue.key] = ReceivedLedger(
+                    delivered, lost, stale, expired, received_bytes, unreadable
+                )
 
 
 def _changed(

@@ -102,5 +102,5 @@ def _sent_counters(ledger: SentLedger) -> Iterable[tuple[str, int]]:
 
 
 def _received_counters(ledger: ReceivedLedger) -> Iterable[tuple[str, int]]:
-    names = ("delivered", "lost", "stale", "expired", "received_bytes")
+    names = ("delivered", "lost", "stale", "expired", "received_bytes", "unreadable")
     return zip(names, ledger.counters(), strict=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from shaper.datagram import SHARE_OVERHEAD_BYTES, append_message, append_skip, message_overhead_bytes
 from shaper.demand import Demand, PullQueue
-from shaper.events import Receipt
+from shaper.events import Event
 from shaper.frames import HEADER_BYTES, MAX_SHARES, MessageFrame, Outcome, SkipFrame, TopicName
 from shaper.key_expression import is_key
 from shaper.ledger import SentLedger
@@ -19,6 +19,7 @@ from shaper.reliable import ReliableQueue, SentSkip
 from shaper.scheduler import Scheduler
 from shaper.shared_state import ChangesQueue
 from shaper.traffic_class import Keep, TopicRule, first_match
+from shaper.wire_type import wire_type
 
 MAX_NAME_BYTES = 160  # key and encoding of a topic: they must fit the smallest datagram beside a part
 _MIN_PART_BYTES = 48  # a smaller part of a message costs more in headers than it fills of a datagram
@@ -55,7 +56,7 @@ class Outgoing:
     ) -> None:
         self.scheduler = Scheduler(guaranteed)
         self.demand = Demand()
-        self.receipts: deque[Receipt] = deque()
+        self.events: deque[Event] = deque()
         self.wanted: deque[PullQueue] = deque()  # topics whose newest item is to be asked for
         self.unmatched = 0  # messages that no rule sends
         self.refused = 0  # messages beyond max_topics or max_message_bytes
@@ -83,7 +84,8 @@ class Outgoing:
             queue = self._open(key)
         if queue is None:
             return False
-        if len(payload) > self._max_message_bytes or _name_bytes(key, encoding) > MAX_NAME_BYTES:
+        name_bytes = _name_bytes(key, wire_type(queue.rule.encoding, encoding))
+        if len(payload) > self._max_message_bytes or name_bytes > MAX_NAME_BYTES:
             self.refused += 1
             queue.ledger.offered += 1
             queue.ledger.overflow += 1
@@ -215,14 +217,14 @@ class Outgoing:
         return queue
 
     def _make_queue(self, key: str, rule: TopicRule) -> TopicQueue:
-        wake = self.scheduler.activate
+        wake, tell = self.scheduler.activate, self.events.append
         if rule.pull:
-            return PullQueue(key, rule, wake)
+            return PullQueue(key, rule, wake, tell)
         if rule.traffic_class.keep is Keep.CHANGES:
             return ChangesQueue(key, rule, wake)
         if rule.traffic_class.reliable:
-            return ReliableQueue(key, rule, wake, self.receipts.append)
-        return TopicQueue(key, rule, wake)
+            return ReliableQueue(key, rule, wake, tell)
+        return TopicQueue(key, rule, wake, tell)
 
     def _too_late(self, queue: TopicQueue, piece: Piece, opportunity: Opportunity) -> bool:
         """Whether the rest could not leave before the deadline even if it had the link for itself."""

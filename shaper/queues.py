@@ -7,10 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from messages.payload import Encoded, PayloadError
+from messages.payload import Payload as BusPayload
 from shaper.compression import pack
+from shaper.events import Event
 from shaper.ledger import SentLedger
 from shaper.path import Content
 from shaper.traffic_class import Keep, TopicRule
+from shaper.trouble import TroubleTeller, What
+from shaper.wire_type import wire_type
 
 
 class Payload(Protocol):
@@ -78,6 +83,8 @@ class TopicQueue:
 
     __slots__ = (
         "_next_ns",
+        "_tell",
+        "_trouble",
         "active",
         "departing",
         "key",
@@ -90,7 +97,11 @@ class TopicQueue:
     )
 
     def __init__(
-        self, key: str, rule: TopicRule, wake: Callable[[TopicQueue], None] = lambda queue: None
+        self,
+        key: str,
+        rule: TopicRule,
+        wake: Callable[[TopicQueue], None] = lambda queue: None,
+        tell: Callable[[Event], None] = lambda event: None,
     ) -> None:
         self.key = key
         self.rule = rule
@@ -101,6 +112,8 @@ class TopicQueue:
         self.virtual_finish = 0  # the scheduler's: where this topic stands among its tier's
         self.wake = wake  # puts the queue in line when it has got something to send by itself
         self.next_number = 0
+        self._tell = tell  # takes what the driver shall hear
+        self._trouble = TroubleTeller(key)
         self._next_ns = -(1 << 62)  # decimation: when the next sample is due
 
     def offer(self, payload: Payload, encoding: str, capture_ns: int, now_ns: int, tag: int = 0) -> bool:
@@ -160,12 +173,37 @@ class TopicQueue:
             if now_ns - message.capture_ns > ttl_ns:
                 self.expired(message.tag)
                 continue
-            data, compressed = pack(bytes(message.payload), self.rule.compression)
+            try:
+                data, compressed = self._pack(message, now_ns)
+            except PayloadError as error:
+                self.refused(message.tag)
+                self.trouble("refused", str(error), now_ns)
+                continue
+            name = wire_type(self.rule.encoding, message.encoding)
             self.departing = Departure(
-                data, message.encoding, message.capture_ns, self.next_number, compressed, message.tag
+                data, name, message.capture_ns, self.next_number, compressed, message.tag
             )
             return self.departing
         return None
+
+    def _pack(self, message: Waiting, now_ns: int) -> tuple[bytes, bool]:
+        if self.rule.encoding is None:
+            return pack(bytes(message.payload), self.rule.compression)
+        encoded: Encoded = self.rule.encoding.encode(BusPayload(bytes(message.payload), message.encoding))
+        if encoded.altered:
+            self.ledger.altered += 1
+            self.trouble("altered", encoded.altered, now_ns)
+        return encoded.data, False
+
+    def refused(self, tag: int) -> None:
+        """The topic's encoding cannot carry a message."""
+        self.ledger.refused += 1
+
+    def trouble(self, what: What, reason: str, now_ns: int) -> None:
+        """Say what befell a message, if it was not said lately."""
+        event = self._trouble.note(what, reason, now_ns)
+        if event is not None:
+            self._tell(event)
 
     def expired(self, tag: int) -> None:
         """A message's time to live has ended on this side."""

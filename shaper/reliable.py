@@ -12,13 +12,15 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from shaper.events import Receipt, ReceiptStage
+from shaper.events import Event, Receipt, ReceiptStage
 from shaper.frames import Outcome
 from shaper.path import Content
 from shaper.queues import Departure, Payload, Piece, TopicQueue, Waiting
 from shaper.traffic_class import TopicRule
 
 MAX_OUTSTANDING = 64  # messages of a topic under way at a time; also what a receiver may have to hold
+
+_STAGES = {Outcome.DELIVERED: ReceiptStage.DELIVERED, Outcome.UNREADABLE: ReceiptStage.UNREADABLE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,33 +53,32 @@ class SentSkip:
 class ReliableQueue(TopicQueue):
     """A FIFO whose messages are kept until the peer has said what became of them."""
 
-    __slots__ = ("_abandoned", "_again", "_on_receipt", "_skipped_to", "encoding", "outstanding", "skip_due")
+    __slots__ = ("_abandoned", "_again", "_skipped_to", "encoding", "outstanding", "skip_due")
 
     def __init__(
         self,
         key: str,
         rule: TopicRule,
         wake: Callable[[TopicQueue], None],
-        on_receipt: Callable[[Receipt], None],
+        tell: Callable[[Event], None],
     ) -> None:
-        super().__init__(key, rule, wake)
+        super().__init__(key, rule, wake, tell)
         self.outstanding: dict[int, Departure] = {}
         self._abandoned: dict[int, int] = {}  # number: tag; given up, the receiver's word is awaited
         self.skip_due = False  # the receiver has to be told that numbers will not come
         self._skipped_to = 0  # it was told that none before this will
         self.encoding = ""  # of the newest message
         self._again: deque[tuple[int, int, int]] = deque()  # (number, offset, count) to be repeated
-        self._on_receipt = on_receipt
 
     def offer(self, payload: Payload, encoding: str, capture_ns: int, now_ns: int, tag: int = 0) -> bool:
         waits = super().offer(payload, encoding, capture_ns, now_ns, tag)
         if waits:
-            self._on_receipt(Receipt(self.key, tag, ReceiptStage.QUEUED))
+            self._tell(Receipt(self.key, tag, ReceiptStage.QUEUED))
         return waits
 
     def overflowed(self, message: Waiting) -> None:
         super().overflowed(message)
-        self._on_receipt(Receipt(self.key, message.tag, ReceiptStage.SHED))
+        self._tell(Receipt(self.key, message.tag, ReceiptStage.SHED))
 
     def next_piece(self, now_ns: int) -> Piece | None:
         self._expire_outstanding(now_ns)
@@ -100,7 +101,11 @@ class ReliableQueue(TopicQueue):
 
     def expired(self, tag: int) -> None:
         super().expired(tag)
-        self._on_receipt(Receipt(self.key, tag, ReceiptStage.EXPIRED))
+        self._tell(Receipt(self.key, tag, ReceiptStage.EXPIRED))
+
+    def refused(self, tag: int) -> None:
+        super().refused(tag)
+        self._tell(Receipt(self.key, tag, ReceiptStage.REFUSED))
 
     def too_late(self, piece: Piece) -> None:
         self._give_up(piece.departure)
@@ -118,7 +123,7 @@ class ReliableQueue(TopicQueue):
 
     def departed(self) -> None:
         assert self.departing is not None
-        self._on_receipt(Receipt(self.key, self.departing.tag, ReceiptStage.SENT))
+        self._tell(Receipt(self.key, self.departing.tag, ReceiptStage.SENT))
         self.departing = None
 
     def repeat(self, number: int, offset: int, count: int) -> None:
@@ -147,11 +152,11 @@ class ReliableQueue(TopicQueue):
         tag = self._settle(number_low_bits)
         if tag is None:
             return
-        if outcome is Outcome.DELIVERED:
-            self.ledger.sent += 1
-            self._on_receipt(Receipt(self.key, tag, ReceiptStage.DELIVERED))
-        else:
+        if outcome is Outcome.EXPIRED:
             self.expired(tag)
+        else:
+            self.ledger.sent += 1
+            self._tell(Receipt(self.key, tag, _STAGES[outcome]))
         first = self.first_outstanding()
         if any(self._skipped_to <= number < first for number in self._abandoned):
             self.skip()  # some were given up behind this one

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from shaper.endpoint import Endpoint
-from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt, Wanted
+from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 
 Record = dict[str, object]
 Direction = Literal["down", "up"]
@@ -48,6 +48,15 @@ def event_record(event: Event, t_ns: int) -> Record:
             return {"event": "receipt", "t_ns": t_ns, "topic": key, "tag": tag, "stage": stage.value}
         case Wanted(key, budget_bytes):
             return {"event": "wanted", "t_ns": t_ns, "topic": key, "budget_bytes": budget_bytes}
+        case EncodingTrouble(key, what, reason, count):
+            return {
+                "event": "encoding",
+                "t_ns": t_ns,
+                "topic": key,
+                "what": what,
+                "reason": reason,
+                "count": count,
+            }
         case PeerStarted():
             return {"event": "peer_started", "t_ns": t_ns, "epoch": event.epoch, "again": event.again}
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
+from messages.payload import TopicEncoding
 from shaper.key_expression import matches
 
 
@@ -71,6 +72,7 @@ class TopicRule:
     weight: share of the tier's bytes, relative to the tier's other topics.
     pull: there is no publisher; the shaper asks for an item when the link has room for it, at most once
     per period.
+    encoding: what becomes of a payload on its way; the peer must have the same one.
     """
 
     key_expression: str
@@ -80,6 +82,7 @@ class TopicRule:
     weight: float = 1.0
     entries: Entries | None = None
     pull: bool = False
+    encoding: TopicEncoding | None = None
 
 
 def first_match(rules: Iterable[TopicRule], key: str) -> TopicRule | None:

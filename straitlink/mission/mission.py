@@ -248,7 +248,7 @@ class _Mission:
             receiver = self.operator if outcome.direction == "down" else self.robot
             received = receiver.endpoint.received_ledgers.get(key, ReceivedLedger())
             expired_there = 0 if key in reliable else received.expired
-            rows[key] = topic_row(outcome, counts, expired_there, received.stale)
+            rows[key] = topic_row(outcome, counts, expired_there, received.stale, received.unreadable)
         return rows
 
     # Traces.

@@ -84,11 +84,12 @@ def settled_mask(direction: DirectionProfile, samples: int) -> np.ndarray[tuple[
 
 
 def topic_row(
-    outcome: TopicOutcome, sent: Mapping[str, int] | None, expired_there: int, stale: int
+    outcome: TopicOutcome, sent: Mapping[str, int] | None, expired_there: int, stale: int, unreadable: int = 0
 ) -> dict[str, object]:
     """One topic of the result. Every offered message is in exactly one of the counters.
 
-    offered = decimated + superseded + expired + overflow + delivered + stale + lost + in_flight + local
+    offered = decimated + superseded + expired + overflow + refused + delivered + stale + unreadable + lost
+    + in_flight + local
     expired_there: messages that came after their time to live, of which the sender was not told.
     """
     counts = sent or {"decimated": 0, "superseded": 0, "expired": 0, "overflow": 0, "sent": 0}
@@ -102,9 +103,11 @@ def topic_row(
         "superseded": counts["superseded"],
         "expired": counts["expired"] + expired_there,
         "stale": stale,
-        "lost": counts["sent"] - delivered - expired_there - stale,
+        "unreadable": unreadable,
+        "lost": counts["sent"] - delivered - expired_there - stale - unreadable,
         "decimated": counts["decimated"],
         "overflow": counts["overflow"],
+        "refused": counts.get("refused", 0),
         "in_flight": queued,
         "local": 0 if sent else outcome.offered,
         "age_p50_ms": p50,

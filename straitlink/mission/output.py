@@ -56,7 +56,11 @@ def print_result(result: dict[str, Any], console: Console) -> None:
 
 def _topics_table(topics: dict[str, Any]) -> Table:
     counters = ["offered", "decimated", "delivered", "superseded", "expired", "overflow", "lost"]
-    counters += [name for name in ("stale", "in_flight") if any(row[name] for row in topics.values())]
+    counters += [
+        name
+        for name in ("refused", "stale", "unreadable", "in_flight")
+        if any(row[name] for row in topics.values())
+    ]
     table = Table(title="Topics", title_justify="left", box=SIMPLE, padding=0, pad_edge=False)
     table.add_column("topic", no_wrap=True)
     for heading in (*counters, "age p50", "p95", "max ms", "kB"):

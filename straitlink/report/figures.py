@@ -7,15 +7,17 @@ from .summary import Spread, Summary
 MISSING = "\N{EN DASH}"
 _COUNTERS = (
     *("offered", "decimated", "sent", "delivered"),
-    *("superseded", "expired", "overflow", "stale", "lost"),
+    *("superseded", "expired", "overflow", "refused", "stale", "unreadable", "lost"),
 )
+_RARE = ("refused", "stale", "unreadable")  # told only where it befell a message
 
 
 def counters_told(summary: Summary) -> list[str]:
-    """The counters that some trace tells of some topic; "stale" only where a message was."""
+    """The counters that some trace tells of some topic; the rare ones only where they are not all 0."""
     values = {name: [getattr(row, name) for row in summary.topics] for name in _COUNTERS}
-    if not any(values["stale"]):
-        del values["stale"]
+    for name in _RARE:
+        if not any(values[name]):
+            del values[name]
     return [name for name, column in values.items() if any(value is not None for value in column)]
 
 

@@ -25,7 +25,8 @@ class TopicSummary:
     """One topic. None: no trace tells. age_of_information is weighted by time, the other two by delivery.
 
     lost: sent and never come, where both ends were traced: then no message is in two of the counters.
-    stale: came, but a newer one had overtaken it.
+    stale: came, but a newer one had overtaken it. refused, unreadable: its encoding could not carry it, or
+    not be read.
     """
 
     topic: str
@@ -37,7 +38,9 @@ class TopicSummary:
     superseded: int | None
     expired: int | None
     overflow: int | None
+    refused: int | None
     stale: int | None
+    unreadable: int | None
     lost: int | None
     payload_bytes: int | None
     one_way_delay: Spread | None
@@ -100,7 +103,9 @@ def _topic(run: Run, topic: str) -> TopicSummary:
         superseded=ledger.get("superseded"),
         expired=_expired(run, topic, ledger),
         overflow=ledger.get("overflow"),
+        refused=ledger.get("refused"),
         stale=ledger.get("stale"),
+        unreadable=ledger.get("unreadable"),
         lost=_lost(run, topic, ledger, delivered),
         payload_bytes=payload_bytes,
         one_way_delay=None if deliveries is None else spread(deliveries.one_way_delay_ns),
@@ -137,7 +142,7 @@ def _lost(run: Run, topic: str, ledger: Mapping[str, int], delivered: int | None
     """
     if "sent" not in ledger or delivered is None:
         return ledger.get("lost")
-    dropped = _expired_there(run, topic, ledger) + ledger.get("stale", 0)
+    dropped = _expired_there(run, topic, ledger) + ledger.get("stale", 0) + ledger.get("unreadable", 0)
     return max(ledger["sent"] - delivered - dropped, 0)  # a killed sender's last ledger may be 1 s old
 
 

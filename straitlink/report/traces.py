@@ -17,10 +17,11 @@ _SENDS = {"robot": "down", "operator": "up"}  # the direction that a side sends 
 _RECEIVES = {"robot": "up", "operator": "down"}
 # What a side counts of a topic, and the name that a row of both sides' counters has for it.
 _COUNTED_BY_SENDER = {
-    name: name for name in ("offered", "decimated", "superseded", "expired", "overflow", "sent", "sent_bytes")
+    name: name
+    for name in ("offered", "decimated", "superseded", "expired", "overflow", "refused", "sent", "sent_bytes")
 }
 _COUNTED_BY_RECEIVER = {
-    **{name: name for name in ("delivered", "lost", "stale", "received_bytes")},
+    **{name: name for name in ("delivered", "lost", "stale", "unreadable", "received_bytes")},
     "expired": "expired_there",
 }
 _MALFORMED = (ValueError, KeyError, TypeError, AttributeError)

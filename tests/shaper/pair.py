@@ -16,6 +16,7 @@ from shaper.frames import Frame, Header
 from shaper.incoming import Limits
 from shaper.link_estimator import LinkEstimator, PresetBand, PresetBands
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
+from shaper.wire_type import Encodings
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -94,6 +95,7 @@ class Pair:
         accept: tuple[str, ...] = ("**",),
         limits: Limits | None = None,
         guaranteed: Mapping[int, float] | None = None,
+        encodings: Encodings | None = None,
         robot_offset_ns: int = 3 * HOUR,
         operator_offset_ns: int = 7 * HOUR + 123_456_789,
         met: bool = True,
@@ -101,7 +103,11 @@ class Pair:
         self.now_ns = 0
         self._bands = bands
         self._settings = EndpointSettings(
-            rules, accept, limits=limits or Limits(), guaranteed=guaranteed or {}
+            rules,
+            accept,
+            limits=limits or Limits(),
+            guaranteed=guaranteed or {},
+            encodings=encodings or {},
         )
         self._epochs = 100
         delay_ns = bands[0].one_way_delay_ns if delay_ns is None else delay_ns

@@ -52,7 +52,9 @@ def test_the_ledger_record_balances() -> None:
     for counts in topics.values():
         assert counts["direction"] == "down"
         assert counts["offered"] == 100
-        left = sum(counts[k] for k in ("decimated", "superseded", "expired", "overflow", "sent", "queued"))
+        left = sum(
+            counts[k] for k in ("decimated", "superseded", "expired", "overflow", "refused", "sent", "queued")
+        )
         assert left == counts["offered"]
         assert counts["queued"] >= 0
     datagrams = record["datagrams"]

@@ -294,7 +294,7 @@ def printed(summary: Summary) -> str:
 
 def test_the_ages_of_long_names_and_long_delays_fit_a_terminal() -> None:
     late = Spread(99_990 * MS, 99_990 * MS, 99_990 * MS)
-    row = TopicSummary("robot/head_camera/overview", "down", None, None, None, 4, None, None, None, None, None, 20, late, late, late)  # fmt: skip
+    row = TopicSummary("robot/head_camera/overview", "down", None, None, None, 4, None, None, None, None, None, None, None, 20, late, late, late)  # fmt: skip
     text = printed(Summary(3.0, (row,), (), 0))
     assert text.count("99.99 s") == 9
     assert all(word in text for word in ("delay", "delivery", "information")) and "…" not in text
@@ -384,7 +384,8 @@ def test_a_recording_s_age_at_delivery_is_printed(tmp_path: Path) -> None:
 
 
 def test_the_table_leaves_out_counters_that_nobody_kept() -> None:
-    row = TopicSummary("imu", "down", None, None, None, 4, None, None, None, None, None, 20, None, None, None)
+    unknown = [None] * 7
+    row = TopicSummary("imu", "down", None, None, None, 4, *unknown, 20, None, None, None)
     text = io.StringIO()
     print_table(Summary(3.0, (row,), (), 0), Console(file=text, width=100))
     assert "delivered" in text.getvalue() and "expired" not in text.getvalue()

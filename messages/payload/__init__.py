@@ -1,0 +1,5 @@
+"""Between what a bus carries and what a thin link should. See docs/encodings.md."""
+
+from messages.payload.topic_encoding import Encoded, Payload, PayloadError, TopicEncoding, digest_of
+
+__all__ = ["Encoded", "Payload", "PayloadError", "TopicEncoding", "digest_of"]
