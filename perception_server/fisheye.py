@@ -24,7 +24,7 @@ _MAX_OVERSAMPLING = 4
 class VirtualView:
     """A distortion-free camera at the place of a real one, turned.
 
-    pan_rad: to the left; tilt_rad: down (REP-103's yaw and pitch, as seen by somebody in the camera's place).
+    pan_rad: to the left; tilt_rad: up, as the camera itself would be turned.
     field_of_view_rad: from the left edge to the right edge.
     """
 
@@ -55,7 +55,7 @@ class VirtualView:
         pan, tilt = self.pan_rad, self.tilt_rad
         about_y = np.array([[math.cos(pan), 0, -math.sin(pan)], [0, 1, 0], [math.sin(pan), 0, math.cos(pan)]])
         about_x = np.array(
-            [[1, 0, 0], [0, math.cos(tilt), math.sin(tilt)], [0, -math.sin(tilt), math.cos(tilt)]]
+            [[1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)], [0, math.sin(tilt), math.cos(tilt)]]
         )
         turned: FloatArray = about_y @ about_x
         return turned

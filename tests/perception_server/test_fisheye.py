@@ -67,11 +67,11 @@ def test_what_lies_beyond_a_lens_s_turning_point_is_not_seen() -> None:
     assert np.isnan(folding.project(np.array([[math.tan(1.1), 0, 1.0]]))).all()
 
 
-def test_panning_left_and_tilting_down_look_there() -> None:
+def test_panning_left_and_tilting_up_look_there() -> None:
     left = VirtualView(pan_rad=0.5).camera_from_virtual() @ (0, 0, 1)
-    down = VirtualView(tilt_rad=0.5).camera_from_virtual() @ (0, 0, 1)
+    up = VirtualView(tilt_rad=0.5).camera_from_virtual() @ (0, 0, 1)
     np.testing.assert_allclose(left, (-math.sin(0.5), 0, math.cos(0.5)))  # x is to the right
-    np.testing.assert_allclose(down, (0, math.sin(0.5), math.cos(0.5)))  # y is down
+    np.testing.assert_allclose(up, (0, -math.sin(0.5), math.cos(0.5)))  # y is down
 
 
 @pytest.mark.parametrize(("pan", "tilt"), list(product((-0.6, 0.0, 0.6), (-0.3, 0.4))))
