@@ -6,8 +6,24 @@ raise EncodeError, decoders DecodeError, and nothing else.
 
 from __future__ import annotations
 
+from .cloud import CloudView, decode_cloud, encode_cloud
 from .codec_id import CodecId, codec_of
 from .errors import DecodeError, EncodeError, ViewCodecError
 from .jpeg import pack_jpeg, unpack_jpeg
+from .octree import OctreeView, decode_octree, encode_octree
 
-__all__ = ["CodecId", "DecodeError", "EncodeError", "ViewCodecError", "codec_of", "pack_jpeg", "unpack_jpeg"]
+__all__ = [
+    "CloudView",
+    "CodecId",
+    "DecodeError",
+    "EncodeError",
+    "OctreeView",
+    "ViewCodecError",
+    "codec_of",
+    "decode_cloud",
+    "decode_octree",
+    "encode_cloud",
+    "encode_octree",
+    "pack_jpeg",
+    "unpack_jpeg",
+]
