@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-guest lint bench proto clean
+.PHONY: demo test test-guest lint bench bench-peers proto clean
 
 # The environment: pinned versions from requirements.lock, then the project itself, editable.
 $(READY): requirements.lock pyproject.toml
@@ -18,8 +18,10 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)
 	$(BIN)/straitlink demo $(if $(LOG),--log "$(LOG)") $(DEMO_ARGS)
 
+# What needs no clock on both cores at once, then the tests with real processes, which keep time, one by one.
 test: $(READY)
-	$(BIN)/python -m pytest -m "not guest" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not guest and not live" -n 2 $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "live and not guest" $(PYTEST_ARGS)
 
 # Over a real kernel's netem, in user-mode Linux; needs tools/install_guest.sh and takes some minutes more.
 test-guest: $(READY)
@@ -33,6 +35,11 @@ lint: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m bench
+
+# What a user would pick instead, over the same emulated link, in network namespaces: needs root and /dev/net/tun.
+bench-peers: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r bench/peers/requirements.lock
+	$(BIN)/python -m bench.peers $(BENCH_ARGS)
 
 # Regenerates messages/proto/**/*_pb2.py and .pyi; a test checks that they are current.
 proto: $(READY)

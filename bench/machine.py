@@ -1,0 +1,51 @@
+"""Where and of what figures were measured; stands at the head of every result."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+_PACKAGES = (
+    "eclipse-zenoh", "numpy", "numba", "opencv-python-headless", "protobuf", "zstandard", "zfec",
+    "aioquic", "cyclonedds", "foxglove-sdk", "websockets",
+)  # fmt: skip
+
+
+def provenance() -> dict[str, Any]:
+    """commit (with + for uncommitted changes), python, machine, and the versions of what is measured."""
+    return {
+        "commit": _git("rev-parse", "--short", "HEAD")
+        + ("+" if _git("status", "--porcelain", "-uno") else ""),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "kernel": platform.release(),
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "tcp_congestion_control": _read("/proc/sys/net/ipv4/tcp_congestion_control"),
+        "packages": {name: found for name in _PACKAGES if (found := _version(name))},
+    }
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], capture_output=True, text=True, check=False)
+    return done.stdout.strip()
+
+
+def _cpu() -> str:
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+
+
+def _read(path: str) -> str:
+    return Path(path).read_text().strip() if Path(path).exists() else ""
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
