@@ -1,4 +1,4 @@
-"""foxglove-sdk: a server on the robot; the operator is a client that subscribes to all and publishes commands.
+"""foxglove-sdk: a server on the robot; the operator is a client that takes all and publishes commands.
 
 The client speaks the Foxglove WebSocket protocol (docs.foxglove.dev, subprotocol foxglove.sdk.v1) over the
 `websockets` package, as the Foxglove app does.

@@ -1,4 +1,4 @@
-"""straitlink: each side's Zenoh bus is this process, its shaper a daemon beside it; one configuration for all."""
+"""straitlink: each side's Zenoh bus is this process, its shaper a daemon beside it; one configuration."""
 
 from __future__ import annotations
 

@@ -96,6 +96,8 @@ def print_summary(rows: Sequence[Row]) -> None:
     from rich.table import Table
 
     console = Console()
+    if not console.is_terminal:
+        console = Console(width=_PIPED_COLUMNS)
     for place in dict.fromkeys((r.load, r.profile, r.window) for r in rows):
         table = Table(title=" · ".join(place), box=SIMPLE, title_justify="left")
         for heading in COLUMNS:
@@ -106,6 +108,7 @@ def print_summary(rows: Sequence[Row]) -> None:
         console.print(table)
 
 
+_PIPED_COLUMNS = 150
 COLUMNS = (
     "stack", "heartbeat %", "age p50 ms", "p95 ms", "max ms", "joints %", "p95 ms", "images in time",
     "p50 ms", "commands %", "p95 ms", "link used %", "queue p95 ms",
