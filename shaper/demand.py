@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from shaper.events import Event
-from shaper.queues import Payload, TopicQueue
+from shaper.events import Event, ReceiptStage
+from shaper.path import Content
+from shaper.pulled import Fates
+from shaper.queues import Payload, Piece, TopicQueue
 from shaper.traffic_class import TopicRule
 
 WINDOW_NS = 4_000_000_000  # over which the use by higher tiers is averaged
@@ -48,10 +50,10 @@ class PullQueue(TopicQueue):
 
     The queue counts as having something to send once its period has passed. When it is served it asks
     instead; the answer comes by `offer` and leaves at its next turn. An item that does not come within
-    two seconds is asked for anew.
+    two seconds is asked for anew. Its publisher is told what becomes of it.
     """
 
-    __slots__ = ("asked_ns", "wanted")
+    __slots__ = ("_fates", "asked_ns", "wanted")
 
     def __init__(
         self,
@@ -63,11 +65,31 @@ class PullQueue(TopicQueue):
         super().__init__(key, rule, wake, tell)
         self.wanted = False  # the turn has come: the driver is to ask
         self.asked_ns: int | None = None  # since when an answer is awaited
+        self._fates = Fates(key, tell)
 
     def offer(self, payload: Payload, encoding: str, capture_ns: int, now_ns: int, tag: int = 0) -> bool:
         self.asked_ns = None
         self.wanted = False
-        return super().offer(payload, encoding, capture_ns, now_ns, tag)
+        waits = super().offer(payload, encoding, capture_ns, now_ns, tag)
+        self._fates.tell(tag, ReceiptStage.QUEUED)
+        return waits
+
+    def expired(self, tag: int) -> None:
+        super().expired(tag)
+        self._fates.tell(tag, ReceiptStage.EXPIRED)
+
+    def sent(self, piece: Piece, count: int) -> Content | None:
+        departure = piece.departure
+        part = self._fates.on_sent_part(departure.number, departure.tag)
+        super().sent(piece, count)
+        if self.departing is None:
+            self._fates.on_sent(departure.number, departure.shares_needed)
+        return part
+
+    def on_peer_restarted(self) -> None:
+        if self.departing is not None:
+            self._fates.forget(self.departing.number)
+        super().on_peer_restarted()
 
     def due(self, now_ns: int) -> bool:
         """An answer is never decimated: the question was."""

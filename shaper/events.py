@@ -27,12 +27,13 @@ class Delivered:
 
 
 class ReceiptStage(StrEnum):
-    """How far a reliable message has come."""
+    """How far a message has come that is reliable, or that was asked for."""
 
     QUEUED = "queued"
     SENT = "sent"
     DELIVERED = "delivered"
     EXPIRED = "expired"  # its time to live ended, here or on arrival: it was not delivered
+    LOST = "lost"  # an answer that was asked for: too little of it arrived, and nothing is repeated
     SHED = "shed"  # it gave way in a full queue
     REFUSED = "refused"  # its topic's encoding cannot carry it
     UNREADABLE = "unreadable"  # it arrived, but the receiver cannot read its encoding
@@ -40,7 +41,7 @@ class ReceiptStage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """News of a reliable message. tag: what the driver gave with the offer."""
+    """News of a message that is reliable, or that was asked for. tag: what the driver gave with the offer."""
 
     key: str
     tag: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import random
 from dataclasses import replace
 
 import pytest
@@ -121,6 +122,58 @@ def test_the_budget_of_a_question_leaves_room_for_higher_tiers() -> None:
         pair.offer(pair.robot, "robot/state/a", bytes(5_000))  # 400 kbit/s of 950
         pair.advance(100 * MS)
     assert wanted(pair)[-1].budget_bytes == pytest.approx(550_000 / 8, rel=0.05)
+
+
+# What became of an answer.
+
+
+@pytest.mark.parametrize("size", [100, 20_000])
+def test_who_answers_is_told_when_it_has_left_and_when_it_is_there(size: int) -> None:
+    pair = pull_pair()
+    pair.offer(pair.robot, IMAGE, bytes(size), tag=7)
+    pair.advance(2 * S)
+    assert pair.robot.stages(7) == ["queued", "sent", "delivered"]
+    assert len(pair.operator.payloads) == 1
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_an_answer_of_which_a_part_is_lost_is_lost_and_the_next_is_not(lost: int) -> None:
+    pair = pull_pair()
+    large = itertools.count()
+    pair.robot.loses = lambda datagram: len(datagram) > 1_000 and next(large) < lost
+    pair.offer(pair.robot, IMAGE, bytes(20_000), tag=7)
+    pair.advance(3 * S)
+    assert pair.robot.stages(7)[-1] == "lost" and pair.robot.stages(7).count("lost") == 1
+    pair.offer(pair.robot, IMAGE, bytes(3_000), tag=8)
+    pair.advance(2 * S)
+    assert pair.robot.stages(8)[-1] == "delivered"
+    assert [len(payload) for payload in pair.operator.payloads] == [3_000]
+
+
+def test_an_answer_under_parity_is_delivered_although_a_part_is_lost() -> None:
+    chance = random.Random(3)
+    pair = pull_pair()
+    pair.robot.loses = lambda datagram: chance.random() < 0.1
+    fates: dict[str, int] = {}
+    for tag in range(1, 40):
+        before = len(pair.operator.payloads)
+        pair.offer(pair.robot, IMAGE, bytes(8_000), tag=tag)
+        pair.advance(2 * S)
+        arrived = len(pair.operator.payloads) > before
+        last = pair.robot.stages(tag)[-1]
+        assert last == ("delivered" if arrived else "lost"), tag
+        fates[last] = fates.get(last, 0) + 1
+    assert fates["delivered"] > 30
+
+
+def test_a_peer_that_restarts_midway_gets_the_answer_anew_and_it_counts_once() -> None:
+    pair = pull_pair(THIN)
+    pair.offer(pair.robot, IMAGE, bytes(20_000), tag=7)
+    pair.advance(500 * MS)
+    pair.restart(pair.operator)
+    pair.advance(15 * S)
+    assert pair.robot.stages(7).count("sent") == 1
+    assert (pair.robot.stages(7)[-1] == "delivered") == bool(pair.operator.payloads)
 
 
 # Guaranteed shares.
