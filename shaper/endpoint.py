@@ -57,7 +57,8 @@ class EndpointSettings:
     """What an endpoint needs to know; `shaper.config` makes it from TOML.
 
     rules: topics that this side sends, first match wins. accept: key expressions that it takes.
-    max_datagram_bytes: UDP payload, excluding IP and UDP headers.
+    max_datagram_bytes: UDP payload, excluding IP and UDP headers. protection_bytes: what the channel adds
+    to each datagram; part of max_datagram_bytes.
     guaranteed: by tier, the share (0..1) of the bytes that it gets whatever the tiers above it want.
     encodings: by digest, those in which this side can read messages (`shaper.wire_type.by_digest`).
     """
@@ -68,6 +69,7 @@ class EndpointSettings:
     limits: Limits = field(default_factory=Limits)
     guaranteed: Mapping[int, float] = field(default_factory=dict)
     encodings: Encodings = field(default_factory=dict)
+    protection_bytes: int = 0
 
 
 @dataclass(slots=True)
@@ -97,6 +99,8 @@ class Endpoint:
         self.counters = Counters()
         self.received_ledgers: dict[str, ReceivedLedger] = {}
         self._settings = settings
+        self._outer_bytes = IP_UDP_BYTES + settings.protection_bytes
+        self._max_datagram_bytes = settings.max_datagram_bytes
         self._epoch = epoch
         self._estimator = estimator
         self._unix_minus_monotonic_ns = unix_ns - now_ns
@@ -138,11 +142,16 @@ class Endpoint:
     def receive_datagram(self, data: bytes, now_ns: int) -> None:
         """The link has brought a datagram. Malformed ones are counted, never raised."""
         self.counters.received_datagrams += 1
-        self.counters.received_wire_bytes += len(data) + IP_UDP_BYTES
+        self.counters.received_wire_bytes += len(data) + self._outer_bytes
         try:
             self._receive(data, now_ns)
         except DecodeError:
             self.counters.malformed += 1
+
+    def on_peer_authenticated(self, epoch: int, now_ns: int) -> None:
+        """The channel vouches for the peer's present life: speak to it before it has said anything."""
+        if self._incoming is None or self._incoming.epoch != epoch:
+            self._meet_peer(epoch, now_ns)
 
     def on_timer(self, now_ns: int) -> None:
         """The time that `pump` returned has come."""
@@ -174,7 +183,7 @@ class Endpoint:
                 out,
                 Opportunity(
                     limit_bytes=self._datagram_limit_bytes(),
-                    max_bytes=self._settings.max_datagram_bytes,
+                    max_bytes=self._max_datagram_bytes - self._settings.protection_bytes,
                     rate_bps=self._estimator.rate_bps,
                     loss_ratio=self._path.loss_ratio,
                     now_ns=now_ns,
@@ -210,6 +219,11 @@ class Endpoint:
         return wakeup_ns
 
     # What drivers and people look at.
+
+    @property
+    def packet_number(self) -> int:
+        """Of the datagram that `next_datagram` gave last, in full."""
+        return self._path.next_number - 1
 
     @property
     def holding(self) -> bool:
@@ -313,7 +327,7 @@ class Endpoint:
     def _seal(
         self, out: bytearray, now_ns: int, contents: tuple[Content, ...], *, elicits_report: bool
     ) -> bytes:
-        packet = self._path.on_sent(len(out) + IP_UDP_BYTES, now_ns, contents)
+        packet = self._path.on_sent(len(out) + self._outer_bytes, now_ns, contents)
         write_header(out, Header(self._epoch, packet.number, now_ns // 1000, elicits_report))
         self._pacer.on_sent(packet.wire_bytes, now_ns)
         self._estimator.on_sent(packet, now_ns)
@@ -338,8 +352,8 @@ class Endpoint:
         return self._timers.report_due_ns(self._incoming, self._estimator.rate_bps)
 
     def _datagram_limit_bytes(self) -> int:
-        max_wire_bytes = self._settings.max_datagram_bytes + IP_UDP_BYTES
-        return datagram_wire_bytes(self._estimator.rate_bps, max_wire_bytes) - IP_UDP_BYTES
+        max_wire_bytes = self._max_datagram_bytes + IP_UDP_BYTES
+        return datagram_wire_bytes(self._estimator.rate_bps, max_wire_bytes) - self._outer_bytes
 
     def _credit_bytes(self) -> int:
         return self._estimator.rate_bps * _CREDIT_NS // (8 * NS_PER_S)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+from shaper.notices import Notice
+
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
@@ -97,4 +99,4 @@ class LinkState:
     holding: bool
 
 
-Event = Delivered | Receipt | Wanted | EncodingTrouble | PeerStarted | LinkState
+Event = Delivered | Receipt | Wanted | EncodingTrouble | PeerStarted | LinkState | Notice

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+from copy import copy
 from dataclasses import dataclass
 
 from cryptography.exceptions import InvalidTag
@@ -48,12 +49,13 @@ class Initiator:
         return public + self._state.encrypt_and_hash(payload)
 
     def read(self, message: bytes) -> tuple[bytes, TransportKeys]:
-        """The answer's payload and the keys. Raises DecodeError; then this object is of no further use."""
-        remote = _read_ephemeral(self._state, message)
-        self._state.mix_key(_agree(self._ephemeral, remote))
-        payload = self._state.decrypt_and_hash(message[KEY_BYTES:])
-        ours, theirs = self._state.split()
-        return payload, TransportKeys(ours, theirs, self._state.hash)
+        """The answer's payload and the keys. Raises DecodeError, and still takes the true answer then."""
+        state = copy(self._state)
+        remote = _read_ephemeral(state, message)
+        state.mix_key(_agree(self._ephemeral, remote))
+        payload = state.decrypt_and_hash(message[KEY_BYTES:])
+        ours, theirs = state.split()
+        return payload, TransportKeys(ours, theirs, state.hash)
 
 
 class Responder:

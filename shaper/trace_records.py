@@ -7,6 +7,7 @@ from typing import Literal
 
 from shaper.endpoint import Endpoint
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
+from shaper.notices import Notice
 
 Record = dict[str, object]
 Direction = Literal["down", "up"]
@@ -59,6 +60,8 @@ def event_record(event: Event, t_ns: int) -> Record:
             }
         case PeerStarted():
             return {"event": "peer_started", "t_ns": t_ns, "epoch": event.epoch, "again": event.again}
+        case Notice(kind, text):
+            return {"event": "notice", "t_ns": t_ns, "kind": kind.value, "text": text}
 
 
 def ledger_record(endpoint: Endpoint, sends: Direction, t_ns: int) -> Record:

@@ -1,0 +1,102 @@
+"""One end of the link as its driver sees it: the endpoint behind its channel.
+
+The endpoint decides what is said and when, the channel to whom and under which key. Drivers do as with a
+bare endpoint: something happens, then `pump_link`, then wait.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from shaper.endpoint import Endpoint
+from shaper.events import Event
+from shaper.handshake import Identity
+from shaper.open_channel import OpenChannel
+from shaper.secure_channel import Address, Control, SecureChannel
+
+Channel = SecureChannel | OpenChannel
+
+
+class LinkEnd:
+    """An endpoint and its channel, kept in step."""
+
+    def __init__(self, endpoint: Endpoint, channel: Channel) -> None:
+        self.endpoint = endpoint
+        self.channel = channel
+        self._peer: Identity | None = None
+
+    # What happens to it; messages are offered to the endpoint itself.
+
+    def receive(self, data: bytes, source: Address, now_ns: int) -> None:
+        """The socket has brought a datagram, from whomever."""
+        received = self.channel.receive(data, source, now_ns)
+        self._meet(now_ns)
+        if isinstance(received, bytes):
+            self.endpoint.receive_datagram(received, now_ns)
+        elif isinstance(received, Control):
+            self._on_control(received.payload, now_ns)
+
+    def on_timer(self, now_ns: int) -> None:
+        """The time that `pump_link` returned has come."""
+        self.endpoint.on_timer(now_ns)
+
+    def set_wall_clock(self, unix_ns: int, now_ns: int) -> None:
+        """The wall clock may have been stepped."""
+        self.endpoint.set_wall_clock(unix_ns, now_ns)
+        self.channel.set_wall_clock(unix_ns, now_ns)
+
+    # What comes out of it.
+
+    def next_datagram(self, now_ns: int) -> tuple[bytes, Address] | None:
+        """The next datagram that may leave now, and where to; None if there is none."""
+        handshake = self.channel.next_handshake(now_ns)
+        if handshake is not None:
+            return handshake
+        if not self.channel.ready:
+            return None
+        datagram = self.endpoint.next_datagram(now_ns)
+        if datagram is None:
+            return None
+        return self.channel.seal(datagram, self.endpoint.packet_number), self.channel.peer_address
+
+    def next_event(self) -> Event | None:
+        """The oldest event not handed over yet, or None."""
+        if self.channel.notices:
+            return self.channel.notices.popleft()
+        return self.endpoint.next_event()
+
+    def wakeup_at_ns(self, now_ns: int) -> int:
+        """When something falls due or may leave, if nothing happens before."""
+        channel_ns = self.channel.wakeup_at_ns()
+        if not self.channel.ready:
+            assert channel_ns is not None, "a channel that is not ready is about to try again"
+            return channel_ns
+        endpoint_ns = self.endpoint.wakeup_at_ns(now_ns)
+        return endpoint_ns if channel_ns is None else min(channel_ns, endpoint_ns)
+
+    def counters_dict(self) -> dict[str, int]:
+        """Datagrams and drops of both."""
+        return {**self.endpoint.counters_dict(), **self.channel.counters_dict()}
+
+    def _meet(self, now_ns: int) -> None:
+        peer = self.channel.peer
+        if peer is not None and peer != self._peer:
+            self._peer = peer
+            self.endpoint.on_peer_authenticated(peer.epoch, now_ns)
+
+    def _on_control(self, payload: bytes, now_ns: int) -> None:
+        """What the peer's channel says; an empty payload only proves that it is there."""
+
+
+def pump_link(
+    link: LinkEnd,
+    now_ns: int,
+    send: Callable[[bytes, Address], None],
+    handle: Callable[[Event], None],
+) -> int:
+    """Send what may leave, hand over what has happened; returns when to call `on_timer` and again."""
+    while (outgoing := link.next_datagram(now_ns)) is not None:
+        send(*outgoing)
+    while (event := link.next_event()) is not None:
+        handle(event)
+    return link.wakeup_at_ns(now_ns)
