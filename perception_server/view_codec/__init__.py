@@ -10,6 +10,7 @@ from .cloud import CloudView, decode_cloud, encode_cloud
 from .codec_id import CodecId, codec_of
 from .errors import DecodeError, EncodeError, ViewCodecError
 from .jpeg import pack_jpeg, unpack_jpeg
+from .map_codec import MapView, decode_map, encode_map
 from .octree import OctreeView, decode_octree, encode_octree
 
 __all__ = [
@@ -17,12 +18,15 @@ __all__ = [
     "CodecId",
     "DecodeError",
     "EncodeError",
+    "MapView",
     "OctreeView",
     "ViewCodecError",
     "codec_of",
     "decode_cloud",
+    "decode_map",
     "decode_octree",
     "encode_cloud",
+    "encode_map",
     "encode_octree",
     "pack_jpeg",
     "unpack_jpeg",

@@ -10,21 +10,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import Ints, compiled, ints, octets
+from .compiled import Ints, inlined, ints, octets
 from .errors import DecodeError
 
 PROBABILITY_BITS = 16
+MOST_CUT_ZEROS = 4
 LOW, HIGH, CODE, POSITION, READING = range(5)
 _TOP_BYTE = 0xFF000000
 _ALL = 0xFFFFFFFF
 
 
-@compiled
+@inlined
 def code_bit(coder: Ints, data: NDArray[np.uint8], bit: int, p: int) -> int:
     """Write `bit` at probability `p` of a one, or read one and return it; `bit` is then ignored.
 
-    Reading past the end gives zeros and writing past it is dropped; both are found at the end, by
-    `decoder_end` and `encoded_bytes`, so that the loop needs no errors.
+    Reading past the end gives zeros and writing past it is dropped; both are found afterwards, by
+    `check_end` and `encoded_bytes`, so that the loop needs no errors.
     """
     low = coder[LOW]
     high = coder[HIGH]
@@ -56,7 +57,7 @@ def encoder(capacity_bytes: int) -> tuple[Ints, NDArray[np.uint8]]:
 
 
 def encoded_bytes(coder: Ints, data: NDArray[np.uint8]) -> bytes:
-    """What was written. One byte ends it, as the reader supplies zeros after it.
+    """What was written. One byte ends it, and up to four zeros are cut, as the reader supplies them.
 
     Raises OverflowError if the buffer was too small, which a kernel's caller rules out by its size.
     """
@@ -64,7 +65,8 @@ def encoded_bytes(coder: Ints, data: NDArray[np.uint8]) -> bytes:
     if end + 1 > len(data):
         raise OverflowError(f"a coded stream of {end + 1} bytes does not fit its buffer of {len(data)}")
     data[end] = (int(coder[LOW]) >> 24) + 1 if coder[LOW] else 0
-    return bytes(data[: end + 1]).rstrip(b"\0")
+    stream = bytes(data[: end + 1])
+    return stream[:-MOST_CUT_ZEROS] + stream[-MOST_CUT_ZEROS:].rstrip(b"\0")
 
 
 def decoder(data: bytes) -> tuple[Ints, NDArray[np.uint8]]:
@@ -73,12 +75,16 @@ def decoder(data: bytes) -> tuple[Ints, NDArray[np.uint8]]:
     return ints([0, _ALL, code, 4, 1]), octets(data)
 
 
-def check_end(coder: Ints, data: NDArray[np.uint8]) -> None:
-    """Raise DecodeError unless the reader used the stream to its last byte and no further.
+@inlined
+def is_exhausted(coder: Ints, data: NDArray[np.uint8]) -> bool:
+    """Whether more was read than any writer would have left out, so that a loop can stop early."""
+    return bool(coder[READING] and coder[POSITION] - 3 - MOST_CUT_ZEROS > len(data))
 
-    The writer's last byte is one past its position and trailing zeros are cut, so a shorter stream may
-    be whole; a longer one never is.
-    """
-    used = int(coder[POSITION]) - 4 + 1
+
+def check_end(coder: Ints, data: NDArray[np.uint8]) -> None:
+    """Raise DecodeError unless the reader used the stream to its last byte and no further."""
+    if is_exhausted(coder, data):
+        raise DecodeError(f"the coded stream is cut after {len(data)} bytes")
+    used = int(coder[POSITION]) - 3
     if len(data) > used:
         raise DecodeError(f"{len(data) - used} bytes follow the coded stream of {used} bytes")

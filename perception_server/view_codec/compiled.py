@@ -35,6 +35,12 @@ def compiled(kernel: Kernel) -> Kernel:
         return cast(Kernel, numba.njit(kernel))
 
 
+def inlined(kernel: Kernel) -> Kernel:
+    """Compile into whatever kernel calls it: a call that hands over a model's dozen arrays costs more
+    than most of what is done with them."""
+    return cast(Kernel, numba.njit(forceinline=True)(kernel)) if IS_COMPILED else kernel
+
+
 def ints(values: ArrayLike) -> Ints:
     """Whole numbers as the kernels take them: flat, writable, 64 bits."""
     array = np.array(values, dtype=np.int64).reshape(-1)

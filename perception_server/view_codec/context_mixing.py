@@ -7,8 +7,9 @@ Every table is made with whole numbers, so that all machines hold the same one. 
 from __future__ import annotations
 
 from bisect import bisect_left
+from typing import NamedTuple
 
-from .compiled import Ints, compiled, ints
+from .compiled import Ints, inlined, ints
 
 NAT = 256  # steps of the logistic domain to one nat
 MOST_LOGIT = 2815  # 11 nats: a probability of 1.1 / 65536
@@ -51,32 +52,51 @@ def _stretch_table(powers: list[int]) -> Ints:
 _POWERS = _powers()
 SQUASH = _squash_table(_POWERS)
 STRETCH = _stretch_table(_POWERS)
+CONFIDENCE = ints([0] + [MIXER_ONE * (2 * n + 1) // (2 * n + 4) for n in range(1, MOST_COUNT + 1)])
 RATE = ints([(1 << 16) * 2 // (2 * count + 3) for count in range(MOST_COUNT + 1)])  # 1 / (count + 1.5)
 
 
-@compiled
+@inlined
 def squash(squash_table: Ints, logit: int) -> int:
     """The probability (1/65536) of a logit, which is first held within ±11 nats."""
-    return squash_table[min(max(logit, -MOST_LOGIT), MOST_LOGIT) + MOST_LOGIT]  # type: ignore[no-any-return]
+    return int(squash_table[min(max(logit, -MOST_LOGIT), MOST_LOGIT) + MOST_LOGIT])
 
 
-@compiled
+@inlined
 def logit_of(stretch_table: Ints, slot: int) -> int:
     """The logit of a context slot."""
-    return stretch_table[slot >> 20]  # type: ignore[no-any-return]
+    return int(stretch_table[slot >> 20])
 
 
-@compiled
+class Tables(NamedTuple):
+    """What every model reads and none writes."""
+
+    squash: Ints
+    stretch: Ints
+    rate: Ints
+    confidence: Ints
+
+
+TABLES = Tables(SQUASH, STRETCH, RATE, CONFIDENCE)
+
+
+@inlined
+def confident_logit(tables: Tables, slot: int) -> int:
+    """The logit of a context slot, nearer to nothing the fewer bits the slot has seen; 0 when fresh."""
+    return int(tables.stretch[slot >> 20] * tables.confidence[slot & _COUNT_MASK] >> 16)
+
+
+@inlined
 def learned(rate_table: Ints, slot: int, bit: int, limit: int) -> int:
     """The slot after one more bit: a running mean of the first `limit` bits, a decaying one after."""
     count = slot & _COUNT_MASK
     p = slot >> COUNT_BITS
     p += (((bit << 22) - p) * rate_table[count]) >> 16
     p = min(max(p, 64), (1 << 22) - 64)
-    return p << COUNT_BITS | (count + 1 if count < limit else count)  # type: ignore[no-any-return]
+    return int(p << COUNT_BITS | (count + 1 if count < limit else count))
 
 
-@compiled
+@inlined
 def mixed(weights: Ints, at: int, inputs: Ints, count: int) -> int:
     """The weighted sum of `count` logits, with the set of weights that starts at `at`."""
     total = 0
@@ -85,7 +105,7 @@ def mixed(weights: Ints, at: int, inputs: Ints, count: int) -> int:
     return total >> 16
 
 
-@compiled
+@inlined
 def train(weights: Ints, at: int, inputs: Ints, count: int, error: int, shift: int) -> None:
     """Move the weights down the gradient of coding cost; `error` is (bit << 16) - p."""
     for i in range(count):

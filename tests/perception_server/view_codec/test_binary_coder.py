@@ -60,6 +60,16 @@ def test_bytes_after_the_stream_are_refused() -> None:
         check_end(coder, data)
 
 
+def test_a_cut_stream_is_refused() -> None:
+    decisions = [(1, 40_000), (0, 9_000)] * 80
+    stream = written(decisions)
+    coder, data = decoder(stream[: len(stream) // 2])
+    for _, p in decisions:
+        code_bit(coder, data, 0, p)
+    with pytest.raises(DecodeError, match="is cut"):
+        check_end(coder, data)
+
+
 def test_a_buffer_too_small_is_found_at_the_end() -> None:
     coder, data = encoder(2)
     for _ in range(40):

@@ -1,0 +1,173 @@
+"""Height and range maps as bytes: quantised with a bounded error, then coded without further loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import map_context, map_plain
+from .codec_id import CodecId, codec_of
+from .compiled import IS_COMPILED
+from .errors import DecodeError, EncodeError
+from .map_filters import closed, denoised
+from .map_header import (
+    HEADER_BYTES,
+    MAX_CELLS,
+    MAX_SIDE,
+    MapFlag,
+    MapHeader,
+    pack_header,
+    unpack_header,
+)
+from .palette import used_codes
+from .quantisation import LEAST_BITS, MOST_BITS, Codes, dequantise, lattice_for, quantise
+
+PAPER_BITS = 8
+_NAMES = {
+    "zlib": CodecId.MAP_ZLIB,
+    "serpentine": CodecId.MAP_SERPENTINE,
+    "context": CodecId.MAP_CONTEXT,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapView:
+    """A decoded map.
+
+    values: (rows, columns) float32 metres, NaN in holes. max_error_m: the largest difference between a
+    measured cell and what it was, denoising included. step_m: between two codes. closed: (rows, columns),
+    cells that nobody measured, filled from their neighbours; no error is promised for them.
+    """
+
+    values: NDArray[np.float32]
+    max_error_m: float
+    step_m: float
+    denoised: bool
+    closed: NDArray[np.bool_]
+
+    @property
+    def altered(self) -> bool:
+        """Whether more was done to the measurements than quantising them."""
+        return self.denoised or bool(self.closed.any())
+
+
+def encode_map(
+    values: NDArray[np.float32],
+    *,
+    max_error_m: float | None = None,
+    bits: int | None = None,
+    codec: CodecId | str | None = None,
+    denoise: bool = False,
+    close_gaps: bool = False,
+) -> bytes:
+    """A map that decodes alone.
+
+    values: (rows, columns) float32 metres; what is not finite is a hole. Quantised to `max_error_m`, or
+    over its own range to `bits` (8, the paper's, if neither is given). codec: "zlib", "serpentine" or
+    "context"; None takes context mixing where Numba is installed, else the serpentine. denoise: a
+    bilateral filter first. close_gaps: the reader fills gaps of one or two cells and marks them.
+    Raises EncodeError for a map or a wish that cannot be carried.
+    """
+    values = _checked_map(values)
+    bits = _checked_fidelity(max_error_m, bits)
+    codec = _checked_codec(codec)
+    sent = denoised(values) if denoise else values
+    lattice = lattice_for(sent[np.isfinite(sent)], max_error_m=max_error_m, bits=bits)
+    cells = quantise(sent, lattice)
+    flags = (MapFlag.DENOISED if denoise else MapFlag(0)) | (MapFlag.CLOSED if close_gaps else MapFlag(0))
+    used = None if codec is CodecId.MAP_ZLIB or not cells.levels else used_codes(cells)
+    if used is not None:
+        flags |= MapFlag.PALETTE
+    header = MapHeader(
+        codec,
+        flags,
+        values.shape[0],
+        values.shape[1],
+        cells.levels,
+        lattice.origin_m,
+        lattice.step_m,
+        _achieved_error_m(values, dequantise(cells.codes, lattice.origin_m, lattice.step_m)),
+    )
+    return pack_header(header) + _encode_cells(codec, cells, used)
+
+
+def decode_map(data: bytes) -> MapView:
+    """The map of a message. Raises DecodeError for anything that is not one whole map."""
+    data = bytes(data)
+    codec = codec_of(data)
+    if codec not in _NAMES.values():
+        raise DecodeError(f"{codec.name} is no codec of maps")
+    header = unpack_header(data)
+    codes = _decode_cells(data[HEADER_BYTES:], header)
+    if int(codes.max()) >= max(header.levels, 1):
+        raise DecodeError(f"code {int(codes.max())} is beyond {header.levels} levels")
+    values = dequantise(codes, header.origin_m, header.step_m)
+    filled = np.zeros(values.shape, np.bool_)
+    if header.flags & MapFlag.CLOSED:
+        values, filled = closed(values)
+    return MapView(values, header.max_error_m, header.step_m, bool(header.flags & MapFlag.DENOISED), filled)
+
+
+def _encode_cells(codec: CodecId, cells: Codes, used: NDArray[np.bool_] | None) -> bytes:
+    if not cells.levels:
+        return b""
+    if codec is CodecId.MAP_ZLIB:
+        return map_plain.zlib_encode(cells)
+    if codec is CodecId.MAP_SERPENTINE:
+        return map_plain.serpentine_encode(cells, used)
+    return map_context.encode_cells(cells, used)
+
+
+def _decode_cells(stream: bytes, header: MapHeader) -> NDArray[np.int64]:
+    if not header.levels:
+        if stream:
+            raise DecodeError(f"{len(stream)} bytes follow a map of holes alone")
+        return np.full((header.rows, header.columns), -1, np.int64)
+    if header.codec is CodecId.MAP_ZLIB:
+        return map_plain.zlib_decode(stream, header)
+    if header.codec is CodecId.MAP_SERPENTINE:
+        return map_plain.serpentine_decode(stream, header)
+    return map_context.decode_cells(stream, header)
+
+
+def _achieved_error_m(values: NDArray[np.float32], decoded: NDArray[np.float32]) -> float:
+    """The largest difference on measured cells, rounded up to a float32."""
+    off = np.abs(values.astype(np.float64) - decoded)
+    worst = float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
+    error = np.float32(worst)
+    return float(error if float(error) >= worst else np.nextafter(error, np.float32(np.inf)))
+
+
+def _checked_map(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    values = np.asarray(values)
+    if values.ndim != 2 or values.dtype != np.float32:
+        raise EncodeError(f"a map is (rows, columns) float32, not {values.ndim} axes of {values.dtype}")
+    rows, columns = values.shape
+    if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE and rows * columns <= MAX_CELLS):
+        raise EncodeError(f"a map of {rows} x {columns} cells is outside 1..{MAX_CELLS} cells")
+    return np.where(np.isfinite(values), values, np.float32(np.nan))
+
+
+def _checked_fidelity(max_error_m: float | None, bits: int | None) -> int | None:
+    """The bits to quantise to; None if by max_error_m."""
+    if max_error_m is not None:
+        if bits is not None:
+            raise EncodeError(f"max_error_m = {max_error_m} and bits = {bits}: give one of the two")
+        if not 0 < max_error_m < float("inf"):
+            raise EncodeError(f"max_error_m = {max_error_m} must be above 0")
+        return None
+    bits = PAPER_BITS if bits is None else bits
+    if not LEAST_BITS <= bits <= MOST_BITS:
+        raise EncodeError(f"bits = {bits} must be within {LEAST_BITS}..{MOST_BITS}")
+    return bits
+
+
+def _checked_codec(codec: CodecId | str | None) -> CodecId:
+    if codec is None:
+        return CodecId.MAP_CONTEXT if IS_COMPILED else CodecId.MAP_SERPENTINE
+    chosen = _NAMES.get(codec) if isinstance(codec, str) else codec
+    if chosen is None or chosen not in _NAMES.values():
+        raise EncodeError(f"codec = {codec!r} is none of {', '.join(_NAMES)}")
+    return chosen

@@ -1,0 +1,230 @@
+"""Maps as bytes: errors bounded, holes kept, any bytes survived."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from perception_server.view_codec import DecodeError, EncodeError, decode_map, encode_map
+
+CODECS = ("zlib", "serpentine", "context")
+MapArray = NDArray[np.float32]
+
+
+def terrain(rows: int, columns: int, seed: int = 1, noise_m: float = 0.008) -> MapArray:
+    """Blocks on a slope, with a scanner's holes and noise."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    heights = 0.01 * x - 0.9 + 0.2 * ((x // 13 + y // 9) % 2) + rng.normal(0, noise_m, (rows, columns))
+    holes = (rng.random((rows, columns)) < 0.15) | ((x - columns / 2) ** 2 + (y - rows / 2) ** 2 < rows)
+    return np.where(holes, np.nan, heights).astype(np.float32)
+
+
+def kinect(rows: int, columns: int) -> MapArray:
+    """A tilted wall and a box as a structured-light sensor gives them: whole disparities."""
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    disparity = np.round(200 + 0.7 * x + 0.3 * y + 60 * ((abs(x - 20) < 8) & (abs(y - 15) < 6)))
+    return (570 / disparity).astype(np.float32)
+
+
+MAPS = {
+    "terrain": terrain(40, 60),
+    "flat": np.full((9, 14), 1.25, np.float32),
+    "holes alone": np.full((7, 5), np.nan, np.float32),
+    "one cell": np.array([[2.5]], np.float32),
+    "one cell in holes": np.where(np.arange(48).reshape(6, 8) == 29, 0.7, np.nan).astype(np.float32),
+    "one row": terrain(1, 70),
+    "one column": terrain(70, 1),
+    "few values": np.where(np.arange(600).reshape(20, 30) % 7 < 3, 0.5, 3.0).astype(np.float32),
+    "disparities": kinect(40, 50),
+    "far apart": np.array([[-30.0, 30.0], [np.nan, 0.001]], np.float32),
+}
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("name", MAPS)
+def test_every_cell_comes_back_within_the_error_asked_for(name: str, codec: str) -> None:
+    values = MAPS[name]
+    for max_error_m in (0.01, 0.005, 0.001):
+        view = decode_map(encode_map(values, max_error_m=max_error_m, codec=codec))
+        np.testing.assert_array_equal(np.isnan(view.values), np.isnan(values))
+        off = np.abs(view.values.astype(np.float64) - values)[~np.isnan(values)]
+        assert off.max(initial=0.0) <= view.max_error_m <= max_error_m
+        assert view.values.dtype == np.float32 and not view.altered
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("bits", (2, 8, 12))
+def test_bits_divide_a_maps_own_range(bits: int, codec: str) -> None:
+    values = MAPS["terrain"]
+    view = decode_map(encode_map(values, bits=bits, codec=codec))
+    span_m = float(np.nanmax(values) - np.nanmin(values))
+    assert view.step_m == pytest.approx(span_m / (2**bits - 2), rel=1e-6)
+    assert view.max_error_m <= view.step_m * 0.50001
+    np.testing.assert_array_equal(np.isnan(view.values), np.isnan(values))
+
+
+def test_all_codecs_decode_to_the_same_map() -> None:
+    first, *others = (decode_map(encode_map(MAPS["terrain"], max_error_m=0.005, codec=c)) for c in CODECS)
+    for other in others:
+        np.testing.assert_array_equal(first.values, other.values)
+
+
+def test_the_farthest_cell_is_no_hole_at_any_number_of_levels() -> None:
+    for levels in (2, 254, 255, 256, 257, 300):
+        values = np.linspace(0, (levels - 1) * 0.01, 320, dtype=np.float32).reshape(16, 20)
+        for codec in CODECS:
+            assert not np.isnan(decode_map(encode_map(values, max_error_m=0.005, codec=codec)).values).any()
+
+
+def test_infinite_ranges_are_holes() -> None:
+    values = np.array([[1.0, np.inf, -np.inf], [np.nan, 2.0, 3.0]], np.float32)
+    view = decode_map(encode_map(values, bits=8))
+    np.testing.assert_array_equal(np.isnan(view.values), ~np.isfinite(values))
+
+
+def test_context_mixing_is_smaller_than_the_serpentine_than_zlib() -> None:
+    for values in (terrain(80, 120), kinect(80, 100)):
+        zlib, serpentine, context = (len(encode_map(values, max_error_m=0.005, codec=c)) for c in CODECS)
+        assert context < 0.85 * serpentine < 0.85 * 0.95 * zlib
+
+
+def test_a_palette_saves_where_a_sensor_measures_disparities() -> None:
+    values = kinect(80, 100)
+    jittered = values + np.random.default_rng(1).uniform(-5e-4, 5e-4, values.shape).astype(np.float32)
+    sizes = [len(encode_map(m, max_error_m=0.0005)) for m in (values, jittered)]
+    assert sizes[0] < 0.7 * sizes[1]
+
+
+def test_denoising_is_told_and_lessens_the_error_to_the_truth() -> None:
+    y, x = np.mgrid[:60, :80]
+    truth = 0.01 * x - 0.005 * y + 0.3 * (x > 40)
+    noisy = (truth + np.random.default_rng(2).normal(0, 0.008, truth.shape)).astype(np.float32)
+    plain = decode_map(encode_map(noisy, max_error_m=0.005))
+    smooth = decode_map(encode_map(noisy, max_error_m=0.005, denoise=True))
+    assert smooth.altered and smooth.denoised and not plain.altered
+    errors = [np.abs(view.values - truth) for view in (plain, smooth)]
+    assert np.percentile(errors[1], 95) < 0.7 * np.percentile(errors[0], 95)
+    assert np.abs(smooth.values - noisy).max() <= smooth.max_error_m + 1e-9
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_closed_gaps_are_told_from_measurements(codec: str) -> None:
+    values = np.full((5, 9), 1.0, np.float32)
+    values[2, 3:5] = values[1:4, 7] = np.nan  # two cells across; three down, but one across
+    values[:, 0] = np.nan  # at the border: no gap
+    values[4, 5], values[4, 6], values[4, 7] = 1.0, np.nan, 2.0  # an edge: no gap
+    view = decode_map(encode_map(values, max_error_m=0.001, codec=codec, close_gaps=True))
+    expected = np.zeros(values.shape, bool)
+    expected[2, 3:5] = expected[1:4, 7] = True
+    expected[4, 6] = False
+    np.testing.assert_array_equal(view.closed, expected)
+    assert view.altered
+    assert view.values[view.closed] == pytest.approx(1.0, abs=0.001)
+    np.testing.assert_array_equal(np.isnan(view.values), np.isnan(values) & ~expected)
+
+
+def test_closing_costs_no_bytes() -> None:
+    values = terrain(40, 60)
+    assert len(encode_map(values, bits=8, close_gaps=True)) == len(encode_map(values, bits=8))
+
+
+@pytest.mark.parametrize(
+    ("wish", "sentence"),
+    [
+        ({"max_error_m": 0.0}, "max_error_m = 0.0 must be above 0"),
+        ({"max_error_m": 0.01, "bits": 8}, "give one of the two"),
+        ({"max_error_m": 1e-6}, "the most is 65535"),
+        ({"bits": 17}, "bits = 17 must be within 2..16"),
+        ({"codec": "lerc"}, "codec = 'lerc' is none of"),
+    ],
+)
+def test_a_wish_that_cannot_be_carried_is_a_sentence(wish: dict[str, object], sentence: str) -> None:
+    with pytest.raises(EncodeError, match=sentence.replace(".", r"\.")):
+        encode_map(MAPS["terrain"], **wish)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.zeros(4, np.float32),
+        np.zeros((2, 2)),
+        np.zeros((0, 3), np.float32),
+        np.zeros((400, 400), np.float32),
+    ],
+)
+def test_what_is_no_map_is_refused(values: MapArray) -> None:
+    with pytest.raises(EncodeError, match="a map"):
+        encode_map(values)
+
+
+def decoded_or_refused(data: bytes) -> None:
+    try:
+        view = decode_map(data)
+    except DecodeError:
+        return
+    assert view.values.dtype == np.float32
+
+
+@settings(max_examples=60)
+@given(st.sampled_from(CODECS), st.sampled_from(sorted(MAPS)), st.data())
+def test_damaged_maps_decode_or_are_refused(codec: str, name: str, data: st.DataObject) -> None:
+    message = bytearray(encode_map(MAPS[name], max_error_m=0.005, codec=codec))
+    for _ in range(data.draw(st.integers(1, 4))):
+        message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
+    decoded_or_refused(bytes(message))
+
+
+@settings(max_examples=60)
+@given(
+    st.sampled_from([0x10, 0x11, 0x12]),
+    st.integers(0, 7),
+    st.integers(1, 60),
+    st.integers(1, 60),
+    st.binary(max_size=80),
+)
+def test_any_bytes_decode_or_are_refused(
+    codec: int, flags: int, rows: int, columns: int, rest: bytes
+) -> None:
+    decoded_or_refused(bytes([codec, flags, rows, 0, columns, 0]) + rest)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_cut_and_lengthened_maps_are_refused(codec: str) -> None:
+    message = encode_map(MAPS["terrain"], max_error_m=0.005, codec=codec)
+    for broken in (b"", message[:7], message[: len(message) // 2], message + b"more"):
+        with pytest.raises(DecodeError):
+            decode_map(broken)
+
+
+FALLBACK = """
+import sys
+sys.modules["numba"] = None
+import numpy as np
+from perception_server.view_codec import decode_map, encode_map
+from tests.perception_server.view_codec import test_map_codec as maps
+from perception_server.view_codec.compiled import IS_COMPILED
+assert not IS_COMPILED
+for name in ("terrain", "disparities", "one row", "flat", "holes alone"):
+    message = encode_map(maps.MAPS[name][:24], max_error_m=0.002, codec="context")
+    assert decode_map(message).values.shape == maps.MAPS[name][:24].shape
+    print(message.hex())
+print(encode_map(maps.MAPS["terrain"], bits=8)[0])
+"""
+
+
+def test_without_numba_the_bytes_are_the_same_and_the_serpentine_is_the_default() -> None:
+    run = subprocess.run([sys.executable, "-c", FALLBACK], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    *messages, default = run.stdout.split()
+    for name, message in zip(
+        ("terrain", "disparities", "one row", "flat", "holes alone"), messages, strict=True
+    ):
+        assert encode_map(MAPS[name][:24], max_error_m=0.002, codec="context").hex() == message
+    assert int(default) == 0x11
