@@ -52,6 +52,7 @@ class Daemon:
         self._sends: Direction = "down" if config.side == "robot" else "up"
         self._timer: asyncio.TimerHandle | None = None
         self._gathering = False
+        self._gathered_at_s = 0.0
         self._silent = False
         self._outlet: BusOutlet | None = None
         now_ns = time.monotonic_ns()
@@ -112,13 +113,14 @@ class Daemon:
     # What happens: the bus, the link, the timer.
 
     def _gather_samples(self) -> None:
-        """Wait a moment for more: a bus of thousands of messages a second is worth few wake-ups."""
+        """At once after a quiet moment, else with what comes meanwhile: thousands a second, few wake-ups."""
         if not self._gathering:
             self._gathering = True
-            self._loop.call_later(_GATHER_S, self._on_samples)
+            self._loop.call_at(self._gathered_at_s + _GATHER_S, self._on_samples)
 
     def _on_samples(self) -> None:
         self._gathering = False
+        self._gathered_at_s = self._loop.time()
         now_ns = time.monotonic_ns()
         unix_minus_monotonic_ns = time.time_ns() - now_ns
         more = False
