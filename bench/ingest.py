@@ -77,7 +77,7 @@ def _start(folder: Path, addresses: Addresses, topics: list[LoadTopic]) -> list[
     processes = []
     for side, (listen, peer, bus, side_rows) in sides.items():
         document = {
-            "link": {"side": side, "listen": listen, "peer": peer, "bands": bands},
+            "link": {"side": side, "listen": listen, "peer": peer, "bands": bands, "open": True},
             "zenoh": {"listen": [bus]},
             "topics": side_rows,
         }

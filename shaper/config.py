@@ -6,6 +6,7 @@ import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -87,6 +88,8 @@ class _LinkTable(_Table):
     pace_ratio: Annotated[float, Field(gt=0, le=1)] = 0.95
     bands: Annotated[list[_BandTable], Field(min_length=1)]
     accept: list[str] = ["**"]
+    keys: list[str] = []
+    open: bool = False
 
     @field_validator("listen", "peer")
     @classmethod
@@ -144,6 +147,7 @@ class ShaperConfig:
     """Everything that `straitlink shaper` runs on.
 
     listen, peer: UDP (host, port) of this side and of the other. metrics: where Prometheus may ask.
+    key_files: of link keys, the first to start with. open_link: no keys are wanted, loopback only.
     resolved: the configuration with all defaults filled in, to be saved beside a result.
     """
 
@@ -155,6 +159,8 @@ class ShaperConfig:
     bands: tuple[PresetBand, ...]
     pace_ratio: float
     metrics: tuple[str, int] | None = None
+    key_files: tuple[Path, ...] = ()
+    open_link: bool = False
     resolved: dict[str, Any] = field(default_factory=dict)
 
 
@@ -292,6 +298,29 @@ def _check_topic(
         )
 
 
+def _check_protection(link: _LinkTable, path: Path) -> None:
+    if not link.open:
+        return
+    if link.keys:
+        raise ConfigError(f"{path}: link.open = true: expected no link.keys beside it")
+    for name, address in (("listen", link.listen), ("peer", link.peer)):
+        if not is_loopback(parse_address(address)[0]):
+            raise ConfigError(
+                f"{path}: link.open = true with link.{name} = {address!r}: an open link is for loopback "
+                "only; make a key with `straitlink keygen` and name it in link.keys"
+            )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address never leaves this host."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
 def _guaranteed(table: _ShaperTable, path: Path) -> dict[int, float]:
     shares = {int(tier): row.guaranteed_ratio for tier, row in table.tiers.items()}
     if sum(shares.values()) >= 1:
@@ -339,6 +368,7 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         round(table.limits.max_reassembly_wait_s * _NS_PER_S),
     )
     link = table.link
+    _check_protection(link, path)
     return ShaperConfig(
         side=link.side,
         listen=parse_address(link.listen),
@@ -357,5 +387,7 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         ),
         pace_ratio=link.pace_ratio,
         metrics=None if table.metrics is None else parse_address(table.metrics.listen),
+        key_files=tuple(path.parent / name for name in link.keys),
+        open_link=link.open,
         resolved=table.model_dump(mode="json", by_alias=True),
     )

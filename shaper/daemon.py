@@ -9,17 +9,26 @@ import logging
 import secrets
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from messages.attachment import Stamp, decode_stamp
 from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
-from shaper.endpoint import Endpoint, pump
+from shaper.endpoint import Endpoint
+from shaper.errors import ConfigError
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
+from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity
+from shaper.key_file import read_key_file
+from shaper.link_end import Channel, LinkEnd, pump_link
 from shaper.link_estimator import PresetBands
+from shaper.link_key import LinkKey
 from shaper.metrics import MetricsServer
+from shaper.notices import Notice
+from shaper.open_channel import OpenChannel
+from shaper.secure_channel import Address, SecureChannel
+from shaper.session import TAG_BYTES as PROTECTION_BYTES
 from shaper.trace import TraceFile
 from shaper.trace_records import (
     LEDGER_INTERVAL_NS,
@@ -30,7 +39,7 @@ from shaper.trace_records import (
     start_record,
 )
 from shaper.traffic_class import Keep, first_match
-from shaper.udp import UdpLink
+from shaper.udp import Datagrams, UdpLink
 
 _NS_PER_S = 1_000_000_000
 _BUS_RETRY_S = 1.0
@@ -59,16 +68,21 @@ class Daemon:
         estimator = PresetBands(
             config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES
         )
-        epoch = secrets.randbits(EPOCH_BITS)
-        self.endpoint = Endpoint(config.endpoint, estimator, epoch, now_ns, time.time_ns())
+        self._keys = read_keys(config)
+        self._identity = Identity(
+            secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES), bytes(TABLE_HASH_BYTES)
+        )
+        settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
+        self.endpoint = Endpoint(settings, estimator, self._identity.epoch, now_ns, time.time_ns())
 
     async def run(self, stop: asyncio.Event) -> None:
         """Carry messages until `stop` is set. Raises BusError, UdpError or MetricsError."""
         self._loop = asyncio.get_running_loop()
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_trace)
-            self._link = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagram)
-            stack.callback(self._link.close)
+            self._udp = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagrams)
+            stack.callback(self._udp.close)
+            self._link = LinkEnd(self.endpoint, self._make_channel(self._udp.peer))
             session = await self._open_bus(stop)
             if session is None:  # asked to stop while the bus was not there yet
                 return
@@ -85,6 +99,15 @@ class Daemon:
             stack.callback(ledgers.cancel)
             stack.callback(self._stop_timer)
             await stop.wait()
+
+    def _make_channel(self, peer: Address) -> Channel:
+        if not self._keys:
+            _log.warning("the link is open: whoever can reach %s:%d is heard", *self._config.listen)
+            return OpenChannel(peer)
+        now_ns = time.monotonic_ns()
+        return SecureChannel(
+            self._config.side, self._keys, self._identity, peer, secrets.token_bytes, now_ns, time.time_ns()
+        )
 
     def _open_inlet(self, session: Session) -> BusInlet:
         def wake() -> None:
@@ -134,21 +157,22 @@ class Daemon:
         if more:
             self._pump(now_ns)
 
-    def _on_datagram(self, data: bytes) -> None:
+    def _on_datagrams(self, datagrams: Datagrams) -> None:
         if self._outlet is None:  # the bus is not there yet: nobody could be told
             return
         now_ns = time.monotonic_ns()
-        self.endpoint.receive_datagram(data, now_ns)
+        for data, source in datagrams:
+            self._link.receive(data, source, now_ns)
         self._pump(now_ns)
 
     def _on_timer(self) -> None:
         self._timer = None
         now_ns = time.monotonic_ns()
-        self.endpoint.on_timer(now_ns)
+        self._link.on_timer(now_ns)
         self._pump(now_ns)
 
     def _pump(self, now_ns: int) -> None:
-        wakeup_ns = pump(self.endpoint, now_ns, self._send, self._handle)
+        wakeup_ns = pump_link(self._link, now_ns, self._send, self._handle)
         when_s = wakeup_ns / _NS_PER_S
         if self._timer is not None:
             if self._timer.when() == when_s:
@@ -158,8 +182,8 @@ class Daemon:
 
     # What comes out.
 
-    def _send(self, datagram: bytes) -> None:
-        self._link.send(datagram)
+    def _send(self, datagram: bytes, address: Address) -> None:
+        self._udp.send(datagram, address)
         self._bins.on_sent(len(datagram) + IP_UDP_BYTES, time.monotonic_ns())
 
     def _handle(self, event: Event) -> None:
@@ -178,6 +202,9 @@ class Daemon:
             self._tell(f"encoding/{event.key}", asdict(event))
         elif isinstance(event, LinkState):
             self._tell("link", asdict(event))
+        elif isinstance(event, Notice):
+            _log.log(logging.WARNING if event.kind.is_fault else logging.INFO, "%s", event.text)
+            self._tell("notice", asdict(event))
         elif isinstance(event, Wanted):
             self._inlet.ask(event.key, event.budget_bytes)
         if self._trace is not None:
@@ -193,7 +220,7 @@ class Daemon:
         while True:
             await asyncio.sleep(LEDGER_INTERVAL_NS / _NS_PER_S)
             now_ns = time.monotonic_ns()
-            self.endpoint.set_wall_clock(time.time_ns(), now_ns)
+            self._link.set_wall_clock(time.time_ns(), now_ns)
             self._say_whether_the_peer_is_heard(now_ns)
             record = ledger_record(self.endpoint, self._sends, now_ns)
             self._tell("ledger", record)
@@ -233,6 +260,21 @@ class Daemon:
         if self._trace is not None:
             self._trace.write(ledger_record(self.endpoint, self._sends, time.monotonic_ns()))
             self._trace.close()
+
+
+def read_keys(config: ShaperConfig) -> tuple[LinkKey, ...]:
+    """The link keys of a configuration; none for an open link. Raises ConfigError."""
+    if not config.key_files and not config.open_link:
+        raise ConfigError(
+            "link.keys is missing: a robot's commands need a key: run `straitlink keygen link.key`, copy the "
+            'file to the other side and set link.keys = ["link.key"] on both (or link.open = true, which is '
+            "for loopback only)"
+        )
+    keys = tuple(read_key_file(path) for path in config.key_files)
+    for index, key in enumerate(keys):
+        if key.id in {other.id for other in keys[:index]}:
+            raise ConfigError(f"{config.key_files[index]}: key {key.name} stands twice in link.keys")
+    return keys
 
 
 def _capture_ns(stamp: Stamp | None, received_ns: int, unix_minus_monotonic_ns: int) -> int:

@@ -153,6 +153,13 @@ class Endpoint:
         if self._incoming is None or self._incoming.epoch != epoch:
             self._meet_peer(epoch, now_ns)
 
+    def on_channel_sent(self, datagram_bytes: int, now_ns: int) -> None:
+        """The channel has sent something of its own: it takes its part of the link too."""
+        wire_bytes = datagram_bytes + IP_UDP_BYTES
+        self._pacer.on_sent(wire_bytes, now_ns)
+        self.counters.sent_datagrams += 1
+        self.counters.sent_wire_bytes += wire_bytes
+
     def on_timer(self, now_ns: int) -> None:
         """The time that `pump` returned has come."""
         self._outgoing.want_what_is_due(now_ns)

@@ -51,6 +51,7 @@ class LinkEnd:
         """The next datagram that may leave now, and where to; None if there is none."""
         handshake = self.channel.next_handshake(now_ns)
         if handshake is not None:
+            self.endpoint.on_channel_sent(len(handshake[0]), now_ns)
             return handshake
         if not self.channel.ready:
             return None

@@ -3,72 +3,87 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import socket
 from collections.abc import Callable
-from typing import cast
+
+from shaper.secure_channel import Address
 
 _BUFFER_BYTES = 1 << 20  # the socket's own buffers: a link's worth of seconds, so that none is lost here
+_MAX_BYTES = 65_535
+_BATCH = 64  # datagrams that are read before the loop looks at anything else
+
+Datagrams = list[tuple[bytes, Address]]
 
 
 class UdpError(Exception):
     """The socket could not be opened; the message says which address and why."""
 
 
-class UdpLink(asyncio.DatagramProtocol):
-    """Datagrams to and from one peer. What anybody else sends is counted and dropped.
+class UdpLink:
+    """Datagrams to and from whomever; the channel behind it knows who may be heard.
 
-    An unreachable peer is no error: the link may be down, or the other side not started yet.
+    peer: the other side's configured address, resolved. An unreachable peer is no error: the link may be
+    down, or the other side not started yet.
     """
 
-    def __init__(self, peer: tuple[str, int], on_datagram: Callable[[bytes], None]) -> None:
-        self.strangers = 0
+    def __init__(self, sock: socket.socket, peer: Address, on_datagrams: Callable[[Datagrams], None]) -> None:
         self.send_errors = 0
-        self._peer = peer
-        self._on_datagram = on_datagram
-        self._transport: asyncio.DatagramTransport | None = None
+        self.peer = peer
+        self._socket: socket.socket | None = sock
+        self._on_datagrams = on_datagrams
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(sock, self._on_readable)
 
     @classmethod
-    async def open(
-        cls, listen: tuple[str, int], peer: tuple[str, int], on_datagram: Callable[[bytes], None]
-    ) -> UdpLink:
-        """Bind and be ready. Raises UdpError."""
+    async def open(cls, listen: Address, peer: Address, on_datagrams: Callable[[Datagrams], None]) -> UdpLink:
+        """Bind and be ready. on_datagrams: takes what has gathered, with its sources. Raises UdpError."""
         loop = asyncio.get_running_loop()
         try:
             family, _, _, _, resolved = (await loop.getaddrinfo(*peer, type=socket.SOCK_DGRAM))[0]
         except socket.gaierror as error:
             raise UdpError(f"link.peer = {peer[0]}:{peer[1]}: the host is not known: {error}") from error
-        link = cls((str(resolved[0]), int(resolved[1])), on_datagram)
+        sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
-            await loop.create_datagram_endpoint(lambda: link, local_addr=listen, family=family)
+            sock.setblocking(False)
+            for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+                sock.setsockopt(socket.SOL_SOCKET, option, _BUFFER_BYTES)
+            bind_to = await loop.getaddrinfo(*listen, family=family, type=socket.SOCK_DGRAM)
+            sock.bind(bind_to[0][4])
         except OSError as error:
-            reason = "the port is in use" if error.errno == 98 else error.strerror or str(error)
+            sock.close()
+            reason = error.strerror or str(error)
+            reason = "the port is in use" if error.errno == errno.EADDRINUSE else reason
             raise UdpError(f"link.listen = {listen[0]}:{listen[1]}: {reason}") from error
-        return link
+        return cls(sock, (str(resolved[0]), int(resolved[1])), on_datagrams)
 
-    def send(self, datagram: bytes) -> None:
-        """Hand a datagram to the kernel."""
-        if self._transport is not None:
-            self._transport.sendto(datagram, self._peer)
+    def send(self, datagram: bytes, address: Address) -> None:
+        """Hand a datagram to the kernel; what it cannot take is lost, as on the link."""
+        if self._socket is None:
+            return
+        try:
+            self._socket.sendto(datagram, address)
+        except OSError:
+            self.send_errors += 1  # mostly "connection refused": nobody listens there at the moment
 
     def close(self) -> None:
         """Close the socket; nothing leaves from now on."""
-        if self._transport is not None:
-            self._transport.close()
-            self._transport = None  # asyncio itself would still send until the loop turns
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
 
-    # asyncio.DatagramProtocol
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)  # no subclass of it in CPython 3.11
-        sock: socket.socket = transport.get_extra_info("socket")
-        for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
-            sock.setsockopt(socket.SOL_SOCKET, option, _BUFFER_BYTES)
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        if addr[:2] != self._peer:
-            self.strangers += 1
-            return
-        self._on_datagram(data)
-
-    def error_received(self, exc: Exception) -> None:
-        self.send_errors += 1  # mostly "connection refused": nobody listens there at the moment
+    def _on_readable(self) -> None:
+        gathered: Datagrams = []
+        for _ in range(_BATCH):
+            assert self._socket is not None, "a closed socket has no reader"
+            try:
+                data, source = self._socket.recvfrom(_MAX_BYTES)
+            except (BlockingIOError, InterruptedError):
+                break
+            except OSError:  # an answer to something that we sent earlier
+                self.send_errors += 1
+                continue
+            gathered.append((data, (source[0], source[1])))
+        if gathered:
+            self._on_datagrams(gathered)

@@ -7,6 +7,7 @@ import sys
 import typer
 
 from straitlink.commands.demo import app as demo_app
+from straitlink.commands.keygen import app as keygen_app
 from straitlink.commands.link import app as link_app
 from straitlink.commands.live import app as live_app
 from straitlink.commands.messages import app as messages_app
@@ -15,7 +16,16 @@ from straitlink.commands.recordings import app as recordings_app
 from straitlink.commands.virtual import app as virtual_app
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
-for commands in (demo_app, live_app, link_app, virtual_app, recordings_app, messages_app, perception_app):
+for commands in (
+    demo_app,
+    live_app,
+    link_app,
+    keygen_app,
+    virtual_app,
+    recordings_app,
+    messages_app,
+    perception_app,
+):
     app.registered_commands += commands.registered_commands
 
 EXIT_USAGE = 2  # a setting, a file or an address that cannot be

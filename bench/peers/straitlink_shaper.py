@@ -14,9 +14,13 @@ import zenoh
 from bench.peers.transport import Session
 from messages.attachment import Stamp
 from shaper.bus import BusSettings, open_bus
+from shaper.key_file import write_key_file
+from shaper.link_key import LinkKey
 
 _BUS = "tcp/127.0.0.1:7447"
 _PORT = 9001
+_KEY_FILE = "link.key"
+_KEY = LinkKey(b"peer", b"known to all who read this bench")  # both sides run in our own namespaces
 
 
 class StraitlinkShaper:
@@ -38,6 +42,7 @@ class StraitlinkShaper:
         self._folder = tempfile.TemporaryDirectory()
         path = Path(self._folder.name) / "shaper.toml"
         path.write_text(config(session))
+        write_key_file(path.parent / _KEY_FILE, _KEY)
         self._daemon = subprocess.Popen([sys.executable, "-m", "straitlink", "shaper", str(path)])
 
     def publish(self, key: str, payload: bytes) -> None:
@@ -67,6 +72,7 @@ def config(session: Session) -> str:
             "listen": f"{session.address}:{_PORT}",
             "peer": f"{session.peer_address}:{_PORT}",
             "accept": session.keys(ours=False),
+            "keys": [_KEY_FILE],
             "bands": [
                 {"name": "fast", "rate_bps": 1_000_000, "one_way_delay_ms": 50},
                 {"name": "thin", "rate_bps": 100_000, "one_way_delay_ms": 500},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import socket
 from dataclasses import dataclass
 from importlib.resources import files
@@ -11,10 +12,13 @@ from typing import Any
 import tomlkit
 
 from netem_scripts.band import Profile
+from shaper.key_file import write_key_file
+from shaper.link_key import make_link_key
 from straitlink.demo.log_topics import LogTopic
 from straitlink.mission.mission import preset_bands
 
 _NS_PER_MS = 1_000_000
+KEY_FILE = "link.key"
 _SMALL_BYTES = 2048  # up to this a message is state, beyond it is perception
 
 
@@ -47,7 +51,10 @@ def free_addresses() -> Addresses:
 def write_configs(
     folder: Path, addresses: Addresses, profile: Profile, log_topics: tuple[LogTopic, ...] | None
 ) -> None:
-    """Write robot.toml and operator.toml. log_topics: of a foreign log, None for the synthetic one."""
+    """Write robot.toml, operator.toml and a key of their own for this once.
+
+    log_topics: of a foreign log, None for the synthetic one.
+    """
     robot, operator = _example("robot"), _example("operator")
     _move(robot, addresses.robot_shaper, addresses.link_robot, addresses.robot_bus)
     _move(operator, addresses.operator_shaper, addresses.link_operator, addresses.operator_bus)
@@ -56,8 +63,18 @@ def write_configs(
     if log_topics is not None:
         robot["topics"] = _rules(log_topics)
         operator["link"]["accept"] = ["**"]
+    write_temporary_key(folder)
     for side, document in (("robot", robot), ("operator", operator)):
+        del document["link"]["open"]
+        document["link"]["keys"] = [KEY_FILE]
         (folder / f"{side}.toml").write_text(tomlkit.dumps(document))
+
+
+def write_temporary_key(folder: Path) -> None:
+    """A key file for two shapers whose configurations lie in the same folder, in place of an older one."""
+    path = folder / KEY_FILE
+    path.unlink(missing_ok=True)
+    write_key_file(path, make_link_key(secrets.token_bytes))
 
 
 def _example(side: str) -> Any:

@@ -19,7 +19,7 @@ from rich.live import Live
 
 from netem_scripts.profiles import load_profile
 from straitlink.demo.children import Child, Children
-from straitlink.demo.configs import Addresses, free_addresses, write_configs
+from straitlink.demo.configs import KEY_FILE, Addresses, free_addresses, write_configs
 from straitlink.demo.errors import DemoError
 from straitlink.demo.log_topics import LogTopic, read_log_topics
 from straitlink.demo.view import LiveView
@@ -109,7 +109,7 @@ def _refuse_a_folder_of_others(out: Path) -> None:
 def _clear(out: Path, log: Path) -> None:
     """Remove what an earlier demonstration left; its recording may be the log of this one."""
     names = [f"{name}{suffix}" for name in _PARTS for suffix in (".jsonl", ".log", ".toml")]
-    for name in (*names, "run.json", "report.html", _RECORDING):
+    for name in (*names, "run.json", "report.html", KEY_FILE, _RECORDING):
         path = out / name
         if path.exists() and log.exists() and path.samefile(log):
             raise DemoError(f"{log} is where this demonstration would record: give another --out")

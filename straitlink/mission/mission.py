@@ -13,11 +13,15 @@ from netem_scripts.band import Band, DirectionProfile, Profile
 from netem_scripts.event_loop import EventLoop
 from netem_scripts.link import Link
 from netem_scripts.records import BandRecord, PacketRecord, StartRecord, event_of
-from shaper.endpoint import Endpoint, EndpointSettings, pump
+from shaper.endpoint import Endpoint, EndpointSettings
 from shaper.events import Delivered, Event
-from shaper.frames import IP_UDP_BYTES
+from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
+from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity, Side, other_side
 from shaper.ledger import ReceivedLedger
+from shaper.link_end import LinkEnd, pump_link
 from shaper.link_estimator import PresetBand, PresetBands
+from shaper.link_key import make_link_key
+from shaper.secure_channel import Address, SecureChannel
 from shaper.trace_records import (
     LEDGER_INTERVAL_NS,
     Record,
@@ -58,18 +62,13 @@ class _Host:
     def __init__(self, mission: _Mission, sends: Direction, rng: random.Random) -> None:
         settings = mission.settings
         self.sends: Direction = sends
-        self.side = "robot" if sends == "down" else "operator"
+        self.side: Side = "robot" if sends == "down" else "operator"
         self.clock = HostClock(
             rng.randrange(_MAX_CLOCK_OFFSET_NS), rng.randint(-_MAX_DRIFT_PPM, _MAX_DRIFT_PPM), _EPOCH_UNIX_NS
         )
         self.bands = settings.bands or preset_bands(settings.profile, sends)
-        self.endpoint = Endpoint(
-            EndpointSettings(settings.load.rules(sends)),
-            PresetBands(self.bands),
-            epoch=rng.getrandbits(16),
-            now_ns=self.clock.local_ns(0),
-            unix_ns=self.clock.unix_at_ns(self.clock.local_ns(0)),
-        )
+        self.link_end = self._make_link_end(mission, rng)
+        self.endpoint = self.link_end.endpoint
         profile = settings.profile
         self.direction = profile.down if sends == "down" else profile.up
         self.link = Link(self.direction, random.Random(rng.getrandbits(64)))
@@ -80,6 +79,26 @@ class _Host:
         self._timer_ns = -1
         self.peer: _Host
 
+    def _make_link_end(self, mission: _Mission, rng: random.Random) -> LinkEnd:
+        """As live: behind a channel with the link's key, both made from the mission's seed."""
+        now_ns = self.clock.local_ns(0)
+        unix_ns = self.clock.unix_at_ns(now_ns)
+        identity = Identity(rng.getrandbits(EPOCH_BITS), rng.randbytes(MEMORY_BYTES), bytes(TABLE_HASH_BYTES))
+        channel = SecureChannel(
+            self.side,
+            [mission.key],
+            identity,
+            _address(other_side(self.side)),
+            rng.randbytes,
+            now_ns,
+            unix_ns,
+        )
+        settings = EndpointSettings(
+            mission.settings.load.rules(self.sends), protection_bytes=channel.overhead_bytes
+        )
+        endpoint = Endpoint(settings, PresetBands(self.bands), identity.epoch, now_ns, unix_ns)
+        return LinkEnd(endpoint, channel)
+
     def offer(self, key: str, payload: bytes) -> None:
         """A source on this host has published."""
         now_ns = self.clock.local_ns(self._loop.now_ns)
@@ -89,12 +108,12 @@ class _Host:
     def receive(self, datagram: bytes) -> None:
         """The link has brought a datagram."""
         now_ns = self.clock.local_ns(self._loop.now_ns)
-        self.endpoint.receive_datagram(datagram, now_ns)
+        self.link_end.receive(datagram, _address(self.peer.side), now_ns)
         self.pump(now_ns)
 
     def pump(self, now_ns: int) -> None:
         """Drain the endpoint and arm its timer."""
-        wakeup_ns = pump(self.endpoint, now_ns, self._send, self._handle)
+        wakeup_ns = pump_link(self.link_end, now_ns, self._send, self._handle)
         when_ns = max(self.clock.true_ns(wakeup_ns), self._loop.now_ns)
         if when_ns != self._timer_ns:
             self._timer_ns = when_ns
@@ -105,10 +124,10 @@ class _Host:
             return
         self._timer_ns = -1
         now_ns = self.clock.local_ns(when_ns)
-        self.endpoint.on_timer(now_ns)
+        self.link_end.on_timer(now_ns)
         self.pump(now_ns)
 
-    def _send(self, datagram: bytes) -> None:
+    def _send(self, datagram: bytes, _address: Address) -> None:
         now_ns = self._loop.now_ns
         passage = self.link.transmit(len(datagram), now_ns)
         self.queue.on_packet(now_ns, passage.departure_ns)
@@ -128,6 +147,7 @@ class _Mission:
         self.loop = EventLoop()
         self._write = trace
         self._digest = hashlib.sha256()
+        self.key = make_link_key(rng.randbytes)
         self.robot = _Host(self, "down", rng)
         self.operator = _Host(self, "up", rng)
         self.robot.peer, self.operator.peer = self.operator, self.robot
@@ -136,6 +156,7 @@ class _Mission:
 
     def run(self, on_progress: Callable[[float], None] | None) -> dict[str, Any]:
         self._start_traces()
+        self._shake_hands()
         for host in (self.robot, self.operator):
             host.pump(host.clock.local_ns(0))
         for topic in self.settings.load.topics:
@@ -155,6 +176,13 @@ class _Mission:
         result["topics"] = self._topic_results()
         result["trace_sha256"] = self._digest.hexdigest()
         return result
+
+    def _shake_hands(self) -> None:
+        """A mission begins when its two shapers know each other; `straitlink chaos` is about the rest."""
+        robot, operator = self.robot, self.operator
+        for here, there in ((operator, robot), (robot, operator), (operator, robot)):
+            while (outgoing := here.link_end.channel.next_handshake(here.clock.local_ns(0))) is not None:
+                there.link_end.receive(outgoing[0], _address(here.side), there.clock.local_ns(0))
 
     # What hosts tell.
 
@@ -282,6 +310,10 @@ class _Mission:
         for host in (self.robot, self.operator):
             host.bins.flush()
             self.trace(host.side, ledger_record(host.endpoint, host.sends, self.loop.now_ns))
+
+
+def _address(side: Side) -> Address:
+    return side, 0  # of the emulated link's two ends
 
 
 def preset_bands(profile: Profile, sends: Direction) -> tuple[PresetBand, ...]:

@@ -19,7 +19,7 @@ from netem_scripts.band import Profile
 from netem_scripts.profile_file import profile_to_dict
 from shaper.bus import BusSettings
 from shaper.config import load_config
-from straitlink.demo.configs import Addresses, free_addresses
+from straitlink.demo.configs import KEY_FILE, Addresses, free_addresses, write_temporary_key
 from straitlink.mission import Load
 from straitlink.mission.mission import preset_bands
 
@@ -44,6 +44,7 @@ class Rig:
         self._load = load
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         a = self.addresses
+        write_temporary_key(folder)
         self._write_config("robot", a.robot_shaper, a.link_robot, a.robot_bus)
         self._write_config("operator", a.operator_shaper, a.link_operator, a.operator_bus)
         (folder / "profile.toml").write_text(tomlkit.dumps(profile_to_dict(profile)))
@@ -60,7 +61,7 @@ class Rig:
                 row: dict[str, Any] = {"key": topic.key, "class": topic.traffic_class.name}
                 topics.append(row | ({"max_hz": topic.max_hz} if topic.max_hz else {}))
         document = {
-            "link": {"side": side, "listen": listen, "peer": peer, "bands": bands},
+            "link": {"side": side, "listen": listen, "peer": peer, "bands": bands, "keys": [KEY_FILE]},
             "zenoh": {"listen": [bus]},
             "topics": topics,
         }

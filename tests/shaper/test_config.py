@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from shaper.config import load_config, parse_address
+from shaper.daemon import read_keys
 from shaper.errors import ConfigError
 from shaper.incoming import Limits
 from shaper.traffic_class import DEFAULT_CLASSES, Compression, Entries, Keep
@@ -51,6 +52,30 @@ def test_the_examples_load(name: str, listen: int, peer: int, side: str) -> None
     assert (config.listen, config.peer) == (("127.0.0.1", listen), ("127.0.0.1", peer))
     assert config.side == side
     assert [(b.name, b.rate_bps) for b in config.bands] == [("fast", 1_000_000), ("thin", 100_000)]
+
+
+def test_key_files_are_found_beside_the_configuration(tmp_path: Path) -> None:
+    text = MINIMAL.replace('side = "robot"', 'side = "robot"\nkeys = ["link.key", "/etc/next.key"]')
+    assert load_config(write(tmp_path, text)).key_files == (tmp_path / "link.key", Path("/etc/next.key"))
+
+
+@pytest.mark.parametrize("name", ["listen", "peer"])
+def test_an_open_link_is_for_loopback_only(tmp_path: Path, name: str) -> None:
+    text = MINIMAL.replace('side = "robot"', 'side = "robot"\nopen = true')
+    assert load_config(write(tmp_path, text)).open_link
+    port = {"listen": 9001, "peer": 9101}[name]
+    text = text.replace(f'{name} = "127.0.0.1:{port}"', f'{name} = "192.168.1.7:{port}"')
+    assert "an open link is for loopback only" in error_of(tmp_path, text)
+
+
+def test_an_open_link_has_no_keys(tmp_path: Path) -> None:
+    text = MINIMAL.replace('side = "robot"', 'side = "robot"\nopen = true\nkeys = ["link.key"]')
+    assert "expected no link.keys beside it" in error_of(tmp_path, text)
+
+
+def test_a_daemon_without_a_key_does_not_start_and_says_how_to_get_one(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"straitlink keygen.*link\.open"):
+        read_keys(load_config(write(tmp_path, MINIMAL)))
 
 
 def test_the_examples_meet_on_no_address_but_loopback() -> None:
