@@ -66,7 +66,7 @@ class Daemon:
         self._outlet: BusOutlet | None = None
         now_ns = time.monotonic_ns()
         estimator = PresetBands(
-            config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES
+            config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES, now_ns
         )
         self._keys = read_keys(config)
         self._identity = Identity(

@@ -1,9 +1,10 @@
-"""The link's wire: one datagram is a 10-byte header and frames. See docs/wire_format.md.
+"""The link's wire: one datagram is an 11-byte header and frames. See docs/wire_format.md.
 
-Header: version and flags (1 B), epoch (2 B), packet number (3 B), send stamp (4 B), little-endian.
+Header: version and flags (1 B), epoch (2 B), packet number (3 B), send stamp (4 B), promise (1 B),
+little-endian.
 The epoch is drawn at random when a daemon starts, so the peer can tell a restart; packet numbers
 count from 0 in each epoch and are sent by their low 24 bits; the send stamp is the sender's monotonic
-clock in microseconds, modulo 2^32.
+clock in microseconds, modulo 2^32; the promise is a code of shaper.promise.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from shaper.frames import (
     LedgerFrame,
     MessageFrame,
     Outcome,
+    PaddingFrame,
     ReceiptFrame,
     ReportFrame,
     SkipFrame,
@@ -33,12 +35,13 @@ from shaper.frames import (
 )
 from shaper.varint import MAX_VALUE, append_varint, read_varint, varint_bytes
 
-_HEADER = struct.Struct("<BHHBI")  # version/flags, epoch, number low 16, number high 8, stamp
+_HEADER = struct.Struct("<BHHBIB")  # version/flags, epoch, number low 16, number high 8, stamp, promise
 _ELICITS_REPORT = 0x10
 
 _LEDGER, _MESSAGE, _PART, _REPORT, _HELLO, _KNOWN, _RECEIPT, _SKIP = range(8)
 _TYPE_MASK = 0x07
 _NAMED, _LATEST, _COMPRESSED, _RELIABLE, _CODED = 0x08, 0x10, 0x20, 0x40, 0x80
+_PADDING = 0x08  # of a hello: it is none, but so many zero bytes
 _SENT_HALF = 0x08  # of a ledger frame: the sender's counters, not the receiver's
 
 _OUTCOMES = frozenset(Outcome)
@@ -59,6 +62,7 @@ def write_header(out: bytearray, header: Header) -> None:
         number & 0xFFFF,
         number >> 16,
         header.stamp_us & 0xFFFF_FFFF,
+        header.promise,
     )
 
 
@@ -133,6 +137,13 @@ def append_hello(out: bytearray, frame: HelloFrame) -> None:
     out += _HELLO_BODY.pack(frame.unix_ns)
 
 
+def append_padding(out: bytearray, frame: PaddingFrame) -> None:
+    """Write bytes that say nothing."""
+    out.append(_HELLO | _PADDING)
+    append_varint(out, frame.padding_bytes)
+    out += bytes(frame.padding_bytes)
+
+
 def append_known(out: bytearray, frame: KnownFrame) -> None:
     """Write which topic ids need no name any more."""
     out.append(_KNOWN)
@@ -176,10 +187,11 @@ def decode_datagram(data: bytes) -> tuple[Header, list[Frame]]:
     """Header and frames of a datagram. Returns, or raises DecodeError and nothing else."""
     if len(data) < HEADER_BYTES:
         raise DecodeError(f"{len(data)} bytes are shorter than a header ({HEADER_BYTES})")
-    first, epoch, number_low, number_high, stamp_us = _HEADER.unpack_from(data)
+    first, epoch, number_low, number_high, stamp_us, promise = _HEADER.unpack_from(data)
     if first & ~_ELICITS_REPORT != VERSION:
         raise DecodeError(f"version and flags {first:#04x} are unknown")
-    header = Header(epoch, number_high << 16 | number_low, stamp_us, bool(first & _ELICITS_REPORT))
+    elicits_report = bool(first & _ELICITS_REPORT)
+    header = Header(epoch, number_high << 16 | number_low, stamp_us, elicits_report, promise)
     frames: list[Frame] = []
     at = HEADER_BYTES
     while at < len(data):
@@ -296,6 +308,10 @@ def _read_report(data: bytes, at: int) -> tuple[Frame, int]:
 
 
 def _read_hello(data: bytes, at: int) -> tuple[Frame, int]:
+    if data[at] & _PADDING:
+        count, at = read_varint(data, at + 1)
+        _, at = _take(data, at, count)
+        return PaddingFrame(count), at
     return HelloFrame(_unpack(_HELLO_BODY, data, at + 1)[0]), at + 1 + _HELLO_BODY.size
 
 

@@ -15,6 +15,7 @@ from shaper.datagram import (
     append_hello,
     append_known,
     append_ledger,
+    append_padding,
     append_receipt,
     append_report,
     decode_datagram,
@@ -30,6 +31,7 @@ from shaper.frames import (
     KnownFrame,
     LedgerFrame,
     MessageFrame,
+    PaddingFrame,
     ReceiptFrame,
     ReportFrame,
     SkipFrame,
@@ -37,16 +39,16 @@ from shaper.frames import (
 from shaper.incoming import Incoming, Limits
 from shaper.ledger import ReceivedLedger, SentLedger
 from shaper.ledger_exchange import LedgerExchange
-from shaper.link_estimator import LinkEstimator, datagram_wire_bytes
+from shaper.link_estimator import LinkEstimator
 from shaper.outgoing import Opportunity, Outgoing
-from shaper.pacer import NS_PER_S, Pacer
+from shaper.pacer import NS_PER_S
 from shaper.path import Content, Path
+from shaper.promise import PROMISES_NS
 from shaper.queues import Payload, TopicQueue
 from shaper.timers import Due, Timers
 from shaper.traffic_class import TopicRule
 from shaper.wire_type import Encodings
 
-_CREDIT_NS = 10_000_000  # what a late timer may catch up, as time at the present rate
 _CONFIRMATIONS_PER_DATAGRAM = 32  # topics or messages at a time; more wait for the next datagram
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 _RETIRED_EPOCHS = 8  # former lives of the peer whose late datagrams are recognised
@@ -112,7 +114,7 @@ class Endpoint:
         self._former: Incoming | None = None  # the life before, should it turn out to be the present one
         self._retired_epochs: deque[int] = deque(maxlen=_RETIRED_EPOCHS)
         self._path = Path()
-        self._pacer = Pacer(estimator.rate_bps, self._credit_bytes(), now_ns)
+        self._told_bps = estimator.rate_bps
         self._events: deque[Event] = deque()
         self._timers = Timers(now_ns)
 
@@ -156,7 +158,7 @@ class Endpoint:
     def on_channel_sent(self, datagram_bytes: int, now_ns: int) -> None:
         """The channel has sent something of its own: it takes its part of the link too."""
         wire_bytes = datagram_bytes + IP_UDP_BYTES
-        self._pacer.on_sent(wire_bytes, now_ns)
+        self._estimator.pacer.on_sent(wire_bytes, now_ns)
         self.counters.sent_datagrams += 1
         self.counters.sent_wire_bytes += wire_bytes
 
@@ -166,7 +168,7 @@ class Endpoint:
         wakeup_ns = self._estimator.wakeup_at_ns()
         if wakeup_ns is not None and wakeup_ns <= now_ns:
             self._estimator.on_timer(now_ns)
-            self._follow_estimate(now_ns)
+            self._tell_estimate()
 
     def set_wall_clock(self, unix_ns: int, now_ns: int) -> None:
         """The wall clock may have been stepped; capture times are told to the peer by it."""
@@ -176,11 +178,13 @@ class Endpoint:
 
     def next_datagram(self, now_ns: int) -> bytes | None:
         """The next datagram that may leave now, or None."""
-        only_emergency = not self._pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
+        estimator = self._estimator
+        only_emergency = not estimator.pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
         holding = self.holding
         queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
-        due = Due() if only_emergency else self._what_is_due(now_ns)
-        if queue is None and not due.anything:
+        due = self._what_is_due(now_ns, gated=only_emergency)
+        probe_bytes = 0 if only_emergency else estimator.probe_bytes(now_ns)
+        if queue is None and not due.anything and not probe_bytes:
             return None
         out = bytearray(HEADER_BYTES)
         said_hello, contents = self._append_control(out, now_ns, due)
@@ -189,9 +193,9 @@ class Endpoint:
             has_messages, more = self._outgoing.fill(
                 out,
                 Opportunity(
-                    limit_bytes=self._datagram_limit_bytes(),
+                    limit_bytes=(probe_bytes or self._datagram_bytes()) - self._outer_bytes,
                     max_bytes=self._max_datagram_bytes - self._settings.protection_bytes,
-                    rate_bps=self._estimator.rate_bps,
+                    rate_bps=estimator.rate_bps,
                     loss_ratio=self._path.loss_ratio,
                     now_ns=now_ns,
                     only_always_send=holding,
@@ -200,9 +204,12 @@ class Endpoint:
             )
             contents += more
             self._ask_for_what_is_wanted(now_ns)
-        if len(out) == HEADER_BYTES:  # what waited has expired, or is to be asked for first
-            return None
-        return self._seal(out, now_ns, contents, elicits_report=has_messages or said_hello or bool(contents))
+        if probe_bytes:
+            append_padding(out, PaddingFrame(max(0, probe_bytes - self._outer_bytes - len(out))))
+        elif len(out) == HEADER_BYTES and not due.promised:
+            return None  # what waited has expired, or is to be asked for first
+        elicits_report = has_messages or said_hello or bool(contents) or probe_bytes > 0
+        return self._seal(out, now_ns, contents, elicits_report=elicits_report)
 
     def next_event(self) -> Event | None:
         """The oldest event not handed over yet, or None."""
@@ -219,8 +226,9 @@ class Endpoint:
                 wakeup_ns = at_ns
         if self._outgoing.scheduler.next_queue(only_always_send=self.holding) is not None:
             wakeup_ns = now_ns
-        wakeup_ns = max(wakeup_ns, self._pacer.next_send_at_ns(now_ns), self._trickle_at_ns())
-        for at_ns in (self._estimator.wakeup_at_ns(), self._outgoing.wants_at_ns()):
+        wakeup_ns = max(wakeup_ns, self._estimator.pacer.next_send_at_ns(now_ns), self._trickle_at_ns())
+        promised_ns = self._timers.promised_until_ns
+        for at_ns in (self._estimator.wakeup_at_ns(), self._outgoing.wants_at_ns(), promised_ns):
             if at_ns is not None and at_ns < wakeup_ns:
                 wakeup_ns = max(at_ns, now_ns + 1)
         return wakeup_ns
@@ -292,12 +300,17 @@ class Endpoint:
 
     # Sending.
 
-    def _what_is_due(self, now_ns: int) -> Due:
+    def _what_is_due(self, now_ns: int, *, gated: bool) -> Due:
+        """gated: the link has no room; what was promised leaves all the same."""
+        promised = now_ns >= self._timers.promised_until_ns
+        if gated:
+            return Due(promised=promised)
         report_ns, probe_ns = self._report_due_ns(), self._probe_at_ns()
         return Due(
             beat=now_ns >= self._timers.beat_at_ns,
             report=report_ns is not None and report_ns <= now_ns,
             probe=probe_ns is not None and probe_ns <= now_ns,
+            promised=promised,
         )
 
     def _append_control(self, out: bytearray, now_ns: int, due: Due) -> tuple[bool, tuple[Content, ...]]:
@@ -335,9 +348,10 @@ class Endpoint:
         self, out: bytearray, now_ns: int, contents: tuple[Content, ...], *, elicits_report: bool
     ) -> bytes:
         packet = self._path.on_sent(len(out) + self._outer_bytes, now_ns, contents)
-        write_header(out, Header(self._epoch, packet.number, now_ns // 1000, elicits_report))
-        self._pacer.on_sent(packet.wire_bytes, now_ns)
+        self._estimator.pacer.on_sent(packet.wire_bytes, now_ns)
         self._estimator.on_sent(packet, now_ns)
+        promise = self._promise(now_ns)
+        write_header(out, Header(self._epoch, packet.number, now_ns // 1000, elicits_report, promise))
         self.counters.sent_datagrams += 1
         self.counters.sent_wire_bytes += packet.wire_bytes
         if elicits_report:
@@ -355,19 +369,27 @@ class Endpoint:
             return None
         return self._timers.probe_at_ns(self._path, self._estimator.rate_bps)
 
+    def _promise(self, now_ns: int) -> int:
+        """How soon the next datagram follows, as its code; the timers keep to it."""
+        waits = self._outgoing.scheduler.next_queue(only_always_send=self.holding) is not None
+        backlog_at_ns = self._estimator.pacer.next_send_at_ns(now_ns) if waits else None
+        return self._timers.promise_code(
+            self._incoming, backlog_at_ns, self._report_interval_ns(idle=not waits), now_ns
+        )
+
+    def _report_interval_ns(self, *, idle: bool) -> int:
+        return self._timers.report_interval_ns(self._incoming, self._estimator.rate_bps, idle=idle)
+
     def _report_due_ns(self) -> int | None:
-        return self._timers.report_due_ns(self._incoming, self._estimator.rate_bps)
+        idle = self._outgoing.scheduler.next_queue() is None
+        return self._timers.report_due_ns(self._incoming, self._report_interval_ns(idle=idle))
 
-    def _datagram_limit_bytes(self) -> int:
-        max_wire_bytes = self._max_datagram_bytes + IP_UDP_BYTES
-        return datagram_wire_bytes(self._estimator.rate_bps, max_wire_bytes) - self._outer_bytes
+    def _datagram_bytes(self) -> int:
+        return min(self._estimator.datagram_bytes, self._max_datagram_bytes + IP_UDP_BYTES)
 
-    def _credit_bytes(self) -> int:
-        return self._estimator.rate_bps * _CREDIT_NS // (8 * NS_PER_S)
-
-    def _follow_estimate(self, now_ns: int) -> None:
-        if self._estimator.rate_bps != self._pacer.rate_bps:
-            self._pacer.set_rate(self._estimator.rate_bps, self._credit_bytes(), now_ns)
+    def _tell_estimate(self) -> None:
+        if self._estimator.rate_bps != self._told_bps:
+            self._told_bps = self._estimator.rate_bps
             self._events.append(self.link_state())
 
     # Receiving.
@@ -387,6 +409,7 @@ class Endpoint:
         if sent_us is None:
             self.counters.duplicate += 1
             return
+        self._estimator.on_heard(sent_us, PROMISES_NS[header.promise], now_ns)
         for frame in frames:
             match frame:
                 case MessageFrame():
@@ -397,6 +420,8 @@ class Endpoint:
                     self._on_report(frame, sent_us, incoming, now_ns)
                 case HelloFrame():
                     incoming.on_hello(frame, sent_us)
+                case PaddingFrame():
+                    pass
                 case LedgerFrame(sent_half=True):
                     self._ledgers.on_sent_half(frame, incoming)
                 case _ if frame.epoch != self._epoch:  # it speaks to our former self
@@ -452,7 +477,7 @@ class Endpoint:
         if settled:
             self._timers.report_at_once = False
             self._estimator.on_report(settled, self._path.rtt_ns, self._path.loss_ratio, now_ns)
-            self._follow_estimate(now_ns)
+            self._tell_estimate()
 
 
 def pump(

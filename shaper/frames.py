@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 VERSION = 1
-HEADER_BYTES = 10
+HEADER_BYTES = 11
 IP_UDP_BYTES = 28  # IPv4 (20) and UDP (8) headers, charged to the link for every datagram
 NUMBER_BITS = 24
 STAMP_BITS = 32
@@ -19,12 +19,16 @@ SENT_COUNTERS, RECEIVED_COUNTERS = 9, 6  # in a row of a ledger frame
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What every datagram starts with; see the module's first lines for the fields."""
+    """What every datagram starts with; see the lines at the top of shaper.datagram for the fields.
+
+    promise: code (see shaper.promise) of how soon the sender's next datagram follows at the latest.
+    """
 
     epoch: int
     number: int
     stamp_us: int
     elicits_report: bool
+    promise: int = 255
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +102,13 @@ class HelloFrame:
 
 
 @dataclass(frozen=True, slots=True)
+class PaddingFrame:
+    """Bytes that say nothing: a datagram that is sent to be timed needs a size."""
+
+    padding_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class KnownFrame:
     """Topic ids of the peer's epoch that the sender of this frame can name by now."""
 
@@ -140,4 +151,13 @@ class LedgerFrame:
     rows: tuple[tuple[int, tuple[int, ...]], ...]
 
 
-Frame = MessageFrame | ReportFrame | HelloFrame | KnownFrame | ReceiptFrame | SkipFrame | LedgerFrame
+Frame = (
+    MessageFrame
+    | ReportFrame
+    | HelloFrame
+    | PaddingFrame
+    | KnownFrame
+    | ReceiptFrame
+    | SkipFrame
+    | LedgerFrame
+)

@@ -29,6 +29,7 @@ from shaper.inbox import Arrived, Budget, Inbox, InTopic, PlainInbox, ReliableIn
 from shaper.key_expression import is_key, matches
 from shaper.ledger import ReceivedLedger
 from shaper.path import Content, PeerClock
+from shaper.promise import PROMISES_NS
 from shaper.reader import reader_of
 from shaper.serial_number import ReceivedWindow, expand
 from shaper.trouble import TroubleTeller
@@ -36,6 +37,7 @@ from shaper.wire_type import Encodings
 
 _MAX_EARLIER = 40  # arrivals named in one report beside the newest
 _MAX_RECEIPTS = 4096  # that wait to be told; a sender of ours has fewer messages outstanding
+_STREAM_NS = 500_000_000  # who promises the next datagram for sooner has more to send
 _SILENCE_NS = 300_000_000  # without a datagram for so long, the next one is reported on at once
 _NS_PER_MS = 1_000_000
 _LATEST_UNIX_NS = 1 << 62  # the year 2116; leaves room to add ages without leaving 64 bits
@@ -85,6 +87,7 @@ class Incoming:
         self.received = 0
         self.unreported_since_ns: int | None = None
         self.after_silence = False  # the peer may be waiting to hear that the link is back
+        self.streams_until_ns = -(1 << 62)  # until then at least one more that wants a report is to come
         self._heard_ns = -(1 << 62)
         self.refused = 0
         self.unknown_topics = 0
@@ -135,6 +138,9 @@ class Incoming:
         self._arrivals.append((number, now_ns))
         if number > self._largest_arrival[0]:
             self._largest_arrival = (number, now_ns)
+        if header.elicits_report:
+            promise_ns = PROMISES_NS[header.promise]
+            self.streams_until_ns = now_ns + promise_ns if promise_ns < _STREAM_NS else -(1 << 62)
         if header.elicits_report and self.unreported_since_ns is None:
             self.unreported_since_ns = now_ns
             self.after_silence = now_ns - self._heard_ns > _SILENCE_NS

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from shaper.pacer import Pacer
 from shaper.path import ReportedPacket, SentPacket
 
 _RTT_MEMORY_NS = 200_000_000  # newest round trips that are compared; a single late one changes no band
 _FEEDBACK_SLACK_NS = 100_000_000  # a report waits for its turn on the other side
 _SLACK_DATAGRAMS = 4  # and behind these datagrams of the link's own size
 _DATAGRAM_AIRTIME_NS = 50_000_000  # no datagram holds the link for longer
+_CREDIT_NS = 10_000_000  # what a late timer may catch up, as time at the present rate
 _MIN_DATAGRAM_BYTES = 300  # wire; below this, headers eat more than 10 % of the link
 _NS_PER_S = 1_000_000_000
 
@@ -24,7 +26,9 @@ class LinkEstimator(Protocol):
     which the endpoint reads after every call. All rates count bytes on the wire, headers included.
     """
 
-    rate_bps: int  # to pace at
+    pacer: Pacer  # says when a datagram may leave; the estimator sets its rate
+    rate_bps: int  # what the link is taken to carry
+    datagram_bytes: int  # size on the wire that a full datagram should have
     in_flight_limit_bytes: int  # beyond this only classes with always_send leave
     band: str  # name of what it takes the link for, for people
     loss_ratio: float
@@ -36,6 +40,13 @@ class LinkEstimator(Protocol):
         self, settled: Sequence[ReportedPacket], rtt_ns: int | None, loss_ratio: float, now_ns: int
     ) -> None:
         """The peer has reported on these packets (oldest first); rtt_ns excludes its holding time."""
+
+    def on_heard(self, sent_us: int, promise_ns: int, now_ns: int) -> None:
+        """A datagram of the peer has come. sent_us: its stamp, expanded; promise_ns: its next one follows
+        that soon."""
+
+    def probe_bytes(self, now_ns: int) -> int:
+        """The size on the wire of a datagram that is to leave now to be timed; 0: none is."""
 
     def on_peer_restarted(self, now_ns: int) -> None:
         """The peer forgot what it knew of us."""
@@ -56,6 +67,10 @@ class PresetBand:
     one_way_delay_ns: int
 
 
+EstimatorFactory = Callable[[Sequence[PresetBand], int], LinkEstimator]
+"""Makes an estimator from the presets, which may be none, and the local time (ns)."""
+
+
 class PresetBands:
     """The rule of the DRC Trials system: the preset whose delay is nearest to the measured one.
 
@@ -66,7 +81,11 @@ class PresetBands:
     """
 
     def __init__(
-        self, bands: Sequence[PresetBand], pace_ratio: float = 0.95, max_wire_bytes: int = 1228
+        self,
+        bands: Sequence[PresetBand],
+        pace_ratio: float = 0.95,
+        max_wire_bytes: int = 1228,
+        now_ns: int = 0,
     ) -> None:
         assert bands, "at least one preset band is needed"
         self._max_wire_bytes = max_wire_bytes
@@ -74,7 +93,8 @@ class PresetBands:
         self._pace_ratio = pace_ratio
         self._rtts: deque[tuple[int, int]] = deque()  # (when, rtt)
         self.loss_ratio = 0.0
-        self._enter(self._bands[0])  # the thinnest until the link has shown better
+        self.pacer = Pacer(1, 0, now_ns)
+        self._enter(self._bands[0], now_ns)  # the thinnest until the link has shown better
 
     def on_sent(self, packet: SentPacket, now_ns: int) -> None:
         """Nothing: presets do not learn from what is sent."""
@@ -90,7 +110,14 @@ class PresetBands:
         while self._rtts[0][0] < now_ns - _RTT_MEMORY_NS:
             self._rtts.popleft()
         delay_ns = min(rtt for _, rtt in self._rtts) // 2
-        self._enter(min(self._bands, key=lambda b: abs(b.one_way_delay_ns - delay_ns)))
+        self._enter(min(self._bands, key=lambda b: abs(b.one_way_delay_ns - delay_ns)), now_ns)
+
+    def on_heard(self, sent_us: int, promise_ns: int, now_ns: int) -> None:
+        """Nothing: presets are told apart by round trips."""
+
+    def probe_bytes(self, now_ns: int) -> int:
+        """None: messages tell the round trip."""
+        return 0
 
     def on_peer_restarted(self, now_ns: int) -> None:
         """The link is the same; only the round trips to the former peer are forgotten."""
@@ -102,11 +129,14 @@ class PresetBands:
     def on_timer(self, now_ns: int) -> None:
         """Nothing happens with time alone."""
 
-    def _enter(self, band: PresetBand) -> None:
+    def _enter(self, band: PresetBand, now_ns: int) -> None:
         self.band = band.name
         self.rate_bps = max(1, int(band.rate_bps * self._pace_ratio))
+        if self.rate_bps != self.pacer.rate_bps:
+            self.pacer.set_rate(self.rate_bps, self.rate_bps * _CREDIT_NS // (8 * _NS_PER_S), now_ns)
+        self.datagram_bytes = datagram_wire_bytes(self.rate_bps, self._max_wire_bytes)
         hold_ns = 2 * band.one_way_delay_ns + _FEEDBACK_SLACK_NS
-        slack_bytes = _SLACK_DATAGRAMS * datagram_wire_bytes(self.rate_bps, self._max_wire_bytes)
+        slack_bytes = _SLACK_DATAGRAMS * self.datagram_bytes
         self.in_flight_limit_bytes = self.rate_bps * hold_ns // (8 * _NS_PER_S) + slack_bytes
 
 

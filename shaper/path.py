@@ -8,6 +8,7 @@ from typing import Protocol
 
 from shaper.errors import DecodeError
 from shaper.frames import ARRIVED_BITS, NUMBER_BITS, STAMP_BITS, ReportFrame
+from shaper.loss import LossMeter
 from shaper.serial_number import expand
 
 _MAX_PACKETS_IN_FLIGHT = 1 << 16  # what a heartbeat sends in hours of silence; older ones are forgotten
@@ -16,7 +17,6 @@ _REORDER_PACKETS = 3  # later packets that may overtake one (RFC 9002, kPacketTh
 _INITIAL_RTT_NS = 500_000_000  # until the first report
 _GRANULARITY_NS = 10_000_000
 _MAX_REPORT_DELAY_NS = 250_000_000  # how long the other side may take to report, at a thin link's rate
-_LOSS_WINDOW_PACKETS = 200  # loss is averaged over about this many packets
 _DRIFT_PPM = 200  # how fast two monotonic clocks may part; ageing of an offset sample (quartz: < 100)
 
 
@@ -117,7 +117,7 @@ class Path:
         self.rtt_ns: int | None = None
         self.smoothed_rtt_ns = _INITIAL_RTT_NS
         self.rtt_variation_ns = _INITIAL_RTT_NS // 2
-        self.loss_ratio = 0.0
+        self._loss = LossMeter()
         self.lost_packets = 0
         self.lost_bytes = 0
         self.reported = False  # whether the peer has ever reported on this epoch of ours
@@ -126,6 +126,11 @@ class Path:
         self._largest = -1
         self._judged_lost: dict[int, SentPacket] = {}  # lately; what was only late may yet be reported
         self._counts_from = 0  # what left before the peer was there is lost, but says nothing of the link
+
+    @property
+    def loss_ratio(self) -> float:
+        """Of the packets that were settled lately, those that never came; 0..1."""
+        return self._loss.ratio
 
     def on_sent(self, wire_bytes: int, now_ns: int, contents: tuple[Content, ...] = ()) -> SentPacket:
         """Number and remember a datagram that leaves now."""
@@ -205,13 +210,13 @@ class Path:
             known = behind == 0 or number in arrivals or (behind <= ARRIVED_BITS and bits >> behind - 1 & 1)
             if known:
                 del self._missing[number]
-                self.loss_ratio -= self.loss_ratio / _LOSS_WINDOW_PACKETS
+                self._loss.on_settled(lost=False)
                 for content in sent.contents:
                     content.on_arrived()
             elif behind >= _REORDER_PACKETS or sent.sent_ns < now_ns - patience_ns:
                 del self._missing[number]
                 if number >= self._counts_from:
-                    self.loss_ratio += (1.0 - self.loss_ratio) / _LOSS_WINDOW_PACKETS
+                    self._loss.on_settled(lost=True)
                     self._judged_lost[number] = sent
                 self._lose(sent)
 
@@ -223,7 +228,7 @@ class Path:
                 del self._judged_lost[number]
             elif bits >> behind - 1 & 1:
                 del self._judged_lost[number]
-                self.loss_ratio = max(0.0, self.loss_ratio - 1.0 / _LOSS_WINDOW_PACKETS)
+                self._loss.on_came_after_all()
                 self.lost_packets -= 1
                 self.lost_bytes -= sent.wire_bytes
 

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from shaper.incoming import Incoming
 from shaper.pacer import NS_PER_S
 from shaper.path import Path
+from shaper.promise import PROMISES_NS, promise_code
 
 BEAT_INTERVAL_NS = 1_000_000_000  # each side says at least this often that it is there
 SEARCH_INTERVAL_NS = 500_000_000  # the same while the peer has never been heard
 REPORT_INTERVAL_NS = 50_000_000  # a report leaves at most this long after what it reports on ...
-REPORT_SHARE = 0.03  # ... but pure reports take no more than this share of our own direction
+STREAM_REPORT_INTERVAL_NS = 25_000_000  # ... or this, while more is promised to come soon ...
+REPORT_SHARE = 0.03  # ... but pure reports take no more than this share of our own direction ...
+IDLE_REPORT_SHARE = 0.10  # ... or this, while it carries nothing else
 SILENCE_NS = 3_000_000_000  # without a datagram from the peer: the link is taken to be dark
 _REPORT_WIRE_BYTES = 75  # a typical pure report: headers, a report of ten arrivals
 _PIGGYBACK_NS = 20_000_000  # a datagram that leaves anyway carries a report if the last is older
@@ -24,6 +27,10 @@ _PROBE_WIRE_BYTES = 47
 # queue, all that was sent into it comes before anything new (30 s of it: 0.9 s of link).
 _TRICKLE_SHARE = 0.03
 _TRICKLE_WIRE_BYTES = 110
+# What is promised (shaper.promise): the next datagram of a backlog, with this much for a late timer; or
+# the next report, while there is something to report on; or the next beat.
+_PACE_SLACK_NS = 3_000_000
+_BEAT_SLACK_NS = 20_000_000
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 
 
@@ -34,10 +41,11 @@ class Due:
     beat: bool = False
     report: bool = False
     probe: bool = False
+    promised: bool = False
 
     @property
     def anything(self) -> bool:
-        return self.beat or self.report or self.probe
+        return self.beat or self.report or self.probe or self.promised
 
 
 class Timers:
@@ -46,7 +54,14 @@ class Timers:
     report_at_once: a peer just met gets its first report without waiting.
     """
 
-    __slots__ = ("beat_at_ns", "last_heard_ns", "last_sent_ns", "report_at_once", "reported_at_ns")
+    __slots__ = (
+        "beat_at_ns",
+        "last_heard_ns",
+        "last_sent_ns",
+        "promised_until_ns",
+        "report_at_once",
+        "reported_at_ns",
+    )
 
     def __init__(self, now_ns: int) -> None:
         self.beat_at_ns = now_ns
@@ -54,6 +69,7 @@ class Timers:
         self.last_heard_ns = now_ns
         self.reported_at_ns = now_ns
         self.report_at_once = False
+        self.promised_until_ns = 1 << 62  # nothing is promised before anything is sent
 
     def on_peer_met(self, now_ns: int) -> None:
         """It waits for nothing but our word."""
@@ -72,14 +88,37 @@ class Timers:
         """Whether nothing has come for so long that the link is taken to be away."""
         return now_ns - self.last_heard_ns > SILENCE_NS
 
-    def report_due_ns(self, incoming: Incoming | None, rate_bps: int) -> int | None:
+    def promise_code(
+        self, incoming: Incoming | None, backlog_at_ns: int | None, interval_ns: int, now_ns: int
+    ) -> int:
+        """Promise when the next datagram follows one that leaves now; the promise's code.
+
+        backlog_at_ns: when what waits may leave; None if nothing does. interval_ns: between pure reports.
+        """
+        if backlog_at_ns is not None:
+            within_ns = backlog_at_ns - now_ns + _PACE_SLACK_NS
+        elif incoming is not None and now_ns < incoming.streams_until_ns + interval_ns:
+            within_ns = interval_ns + _PACE_SLACK_NS
+        else:
+            within_ns = BEAT_INTERVAL_NS + _BEAT_SLACK_NS
+        code = promise_code(within_ns)
+        self.promised_until_ns = now_ns + PROMISES_NS[code]
+        return code
+
+    def report_interval_ns(self, incoming: Incoming | None, rate_bps: int, *, idle: bool) -> int:
+        """How far apart pure reports are. idle: nothing else leaves."""
+        streams = incoming is not None and self.last_heard_ns < incoming.streams_until_ns
+        share = IDLE_REPORT_SHARE if idle else REPORT_SHARE
+        least_ns = STREAM_REPORT_INTERVAL_NS if streams else REPORT_INTERVAL_NS
+        return max(least_ns, _airtime_ns(_REPORT_WIRE_BYTES, share, rate_bps))
+
+    def report_due_ns(self, incoming: Incoming | None, interval_ns: int) -> int | None:
         """When a report must leave by itself; None if nothing waits for one."""
         if incoming is None or incoming.unreported_since_ns is None:
             return None
         if self.report_at_once or incoming.after_silence:
             return incoming.unreported_since_ns
-        share_ns = _airtime_ns(_REPORT_WIRE_BYTES, REPORT_SHARE, rate_bps)
-        return incoming.unreported_since_ns + max(REPORT_INTERVAL_NS, share_ns)
+        return incoming.unreported_since_ns + interval_ns
 
     def probe_at_ns(self, path: Path, rate_bps: int) -> int:
         """When to ask for a report that something waits on."""

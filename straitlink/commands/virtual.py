@@ -18,7 +18,9 @@ app = typer.Typer()
 @app.command()
 def mission(
     profile: Annotated[str, typer.Option(help="Name of a link profile, or a TOML file.")] = "trials",
-    load: Annotated[str, typer.Option(help="light, full, camera-flood, or a TOML file.")] = "light",
+    load: Annotated[
+        str, typer.Option(help="light, full, camera-flood, backlogged, or a TOML file.")
+    ] = "light",
     minutes: Annotated[float, typer.Option(min=0.01, max=100_000, help="Virtual time.")] = 30.0,
     seed: Annotated[int, typer.Option(help="Same seed, same result to the byte.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -19,7 +19,7 @@ from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity, Side, other_side
 from shaper.ledger import ReceivedLedger
 from shaper.link_end import LinkEnd, pump_link
-from shaper.link_estimator import PresetBand, PresetBands
+from shaper.link_estimator import EstimatorFactory, PresetBand, PresetBands
 from shaper.link_key import make_link_key
 from shaper.secure_channel import Address, SecureChannel
 from shaper.trace_records import (
@@ -38,22 +38,32 @@ _NS_PER_S = 1_000_000_000
 _EPOCH_UNIX_NS = 1_387_000_000 * _NS_PER_S  # virtual missions take place in December 2013
 DRAIN_NS = 60 * _NS_PER_S  # at the end sources stop, and what is under way has this long to arrive
 _MAX_CLOCK_OFFSET_NS = 3600 * _NS_PER_S
-_MAX_DRIFT_PPM = 50
 
 Direction = Literal["down", "up"]
 TraceWriter = Callable[[str, Record], None]
 """Takes the name of a trace ("robot", "operator", "link") and a record."""
 
 
+def _preset_bands(bands: Sequence[PresetBand], now_ns: int) -> PresetBands:
+    return PresetBands(bands, now_ns=now_ns)
+
+
 @dataclass(frozen=True, slots=True)
 class MissionSettings:
-    """What is run. bands: presets of the shapers; those of the profile unless given."""
+    """What is run. bands: presets of the shapers; those of the profile unless given.
+
+    estimator: makes each side's. max_drift_ppm: each host's clock drifts by up to so much.
+    synchronised: both hosts' clocks show true time, which only a control of the bench needs.
+    """
 
     profile: Profile
     load: Load
     duration_ns: int
     seed: int = 1
     bands: tuple[PresetBand, ...] = ()
+    estimator: EstimatorFactory = _preset_bands
+    max_drift_ppm: int = 50
+    synchronised: bool = False
 
 
 class _Host:
@@ -63,9 +73,11 @@ class _Host:
         settings = mission.settings
         self.sends: Direction = sends
         self.side: Side = "robot" if sends == "down" else "operator"
-        self.clock = HostClock(
-            rng.randrange(_MAX_CLOCK_OFFSET_NS), rng.randint(-_MAX_DRIFT_PPM, _MAX_DRIFT_PPM), _EPOCH_UNIX_NS
-        )
+        offset_ns = rng.randrange(_MAX_CLOCK_OFFSET_NS)
+        drift_ppm = rng.randint(-settings.max_drift_ppm, settings.max_drift_ppm)
+        self.clock = HostClock(offset_ns, drift_ppm, _EPOCH_UNIX_NS)
+        if settings.synchronised:
+            self.clock = HostClock(unix_ns=_EPOCH_UNIX_NS)
         self.bands = settings.bands or preset_bands(settings.profile, sends)
         self.link_end = self._make_link_end(mission, rng)
         self.endpoint = self.link_end.endpoint
@@ -96,7 +108,8 @@ class _Host:
         settings = EndpointSettings(
             mission.settings.load.rules(self.sends), protection_bytes=channel.overhead_bytes
         )
-        endpoint = Endpoint(settings, PresetBands(self.bands), identity.epoch, now_ns, unix_ns)
+        estimator = mission.settings.estimator(self.bands, now_ns)
+        endpoint = Endpoint(settings, estimator, identity.epoch, now_ns, unix_ns)
         return LinkEnd(endpoint, channel)
 
     def offer(self, key: str, payload: bytes) -> None:

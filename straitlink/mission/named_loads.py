@@ -48,6 +48,13 @@ _CAMERA_FLOOD: list[Row] = [
     _row("operator/command", "up", 80, 10, "command"),
 ]
 
+# More than any link of ours carries, both ways: what an estimator is judged by.
+_BACKLOGGED: list[Row] = [
+    _row(f"{side}/{name}", way, size, rate_hz, cls)
+    for side, way in (("robot", "down"), ("operator", "up"))
+    for name, size, rate_hz, cls in (("heartbeat", 64, 10, "heartbeat"), ("flood", 10_000, 150, "perception"))
+]
+
 _CONTROL_HZ = 1000 / 3
 
 
@@ -76,4 +83,9 @@ _FULL: list[Row] = [
     *_OPERATOR,
 ]
 
-NAMED_LOADS: dict[str, list[Row]] = {"light": _LIGHT, "full": _FULL, "camera-flood": _CAMERA_FLOOD}
+NAMED_LOADS: dict[str, list[Row]] = {
+    "light": _LIGHT,
+    "full": _FULL,
+    "camera-flood": _CAMERA_FLOOD,
+    "backlogged": _BACKLOGGED,
+}

@@ -23,6 +23,7 @@ from shaper.frames import (
     LedgerFrame,
     MessageFrame,
     Outcome,
+    PaddingFrame,
     ReceiptFrame,
     ReportFrame,
     SkipFrame,
@@ -156,6 +157,7 @@ GOLDEN_DATAGRAMS: dict[str, tuple[Header, list[Frame]]] = {
         HEADER,
         [ReportFrame(0xCAFE, 99, 7, 98, ((1, 950),), bytes.fromhex("f7fffffffffdffff"))],
     ),
+    "padding": (HEADER, [PaddingFrame(5)]),
     "receipt": (
         HEADER,
         [ReceiptFrame(0xCAFE, ((2, 300, Outcome.DELIVERED), (300, 65535, Outcome.EXPIRED)))],

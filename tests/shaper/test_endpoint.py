@@ -591,7 +591,7 @@ def test_pure_reports_take_a_small_share_of_a_thin_link() -> None:
         saturate(pair)
         pair.advance(1 * S)
     report_bits = (sum(len(d) + IP_UDP_BYTES for _, d in pair.operator.sent) - start_bytes) * 8
-    assert report_bits / 20 < 0.04 * THIN.rate_bps
+    assert report_bits / 20 < 0.10 * THIN.rate_bps  # the way back carries nothing else
 
 
 @pytest.mark.parametrize("operator_offset_ns", [0, -50 * HOUR, 1000 * HOUR])

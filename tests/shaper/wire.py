@@ -9,6 +9,7 @@ from shaper.datagram import (
     append_known,
     append_ledger,
     append_message,
+    append_padding,
     append_receipt,
     append_report,
     append_skip,
@@ -27,6 +28,7 @@ from shaper.frames import (
     LedgerFrame,
     MessageFrame,
     Outcome,
+    PaddingFrame,
     ReceiptFrame,
     ReportFrame,
     SkipFrame,
@@ -38,7 +40,7 @@ U16 = st.integers(0, 0xFFFF)
 U24 = st.integers(0, 0xFF_FFFF)
 U32 = st.integers(0, 0xFFFF_FFFF)
 VARINT = st.one_of(st.integers(0, 300), st.integers(0, MAX_VALUE))
-HEADERS = st.builds(Header, U16, U24, U32, st.booleans())
+HEADERS = st.builds(Header, U16, U24, U32, st.booleans(), st.integers(0, 255))
 NAMES = st.one_of(st.none(), st.builds(TopicName, st.text(max_size=20), st.text(max_size=10), VARINT))
 
 
@@ -92,6 +94,7 @@ FRAMES = st.one_of(
         ReportFrame, U16, U24, U32, U32, st.lists(st.tuples(VARINT, VARINT), max_size=10).map(tuple), ARRIVED
     ),
     st.builds(HelloFrame, st.integers(-(1 << 63), (1 << 63) - 1)),
+    st.builds(PaddingFrame, st.integers(0, 300)),
     st.builds(KnownFrame, U16, st.lists(VARINT, max_size=10).map(tuple)),
     st.builds(ReceiptFrame, U16, RECEIPTS),
     st.builds(SkipFrame, VARINT, U16, NAMES),
@@ -111,6 +114,8 @@ def encode(header: Header, frames: list[Frame]) -> bytes:
                 append_report(out, frame)
             case HelloFrame():
                 append_hello(out, frame)
+            case PaddingFrame():
+                append_padding(out, frame)
             case KnownFrame():
                 append_known(out, frame)
             case ReceiptFrame():
