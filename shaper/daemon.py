@@ -44,7 +44,7 @@ from shaper.udp import Datagrams, UdpLink
 _NS_PER_S = 1_000_000_000
 _BUS_RETRY_S = 1.0
 _SILENCE_NS = 5 * _NS_PER_S  # after which a person should know
-_GATHER_S = 0.004  # adds at most this to an age; the link adds ten times as much
+_GATHER_S = 0.005  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
 
