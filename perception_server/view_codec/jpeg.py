@@ -11,6 +11,7 @@ from __future__ import annotations
 from .codec_id import CodecId, codec_of
 from .compiled import Ints
 from .errors import DecodeError, EncodeError
+from .jpeg_context import decode_coefficients, encode_coefficients
 from .jpeg_file import (
     JpegFile,
     JpegFrame,
@@ -32,6 +33,7 @@ from .jpeg_tables import (
 
 MAX_FILE_BYTES = 16_000_000
 MAX_BLOCKS = 1 << 16  # of 8x8 samples: 64 MB of coefficients; 4:2:0 up to 2.8 megapixels
+_CODECS = (CodecId.IMAGE_FILE, CodecId.IMAGE_JPEG, CodecId.IMAGE_JPEG_CONTEXT)
 _SAMPLINGS = (None, (1, 1), (2, 1), (2, 2), (1, 2))  # luma blocks across and down an MCU; None is grey
 _GIVEN_HEADER = 7
 _GIVEN_TABLES = 8
@@ -41,13 +43,14 @@ _HEADER_LENGTH_BYTES = 3
 def pack_jpeg(jpeg: bytes, *, codec: CodecId | None = None) -> bytes:
     """The smallest message that `unpack_jpeg` turns into a JPEG of the same pixels.
 
-    codec: IMAGE_JPEG (Huffman-coded still: the operator only puts the tables back), IMAGE_FILE (as it
-    is), or None for the smallest. A file that is no sound baseline JPEG always travels as it is.
+    codec: IMAGE_JPEG_CONTEXT; IMAGE_JPEG (Huffman-coded still: the operator only puts the tables back);
+    IMAGE_FILE (as it is); None for the smallest. A file that is no sound baseline JPEG, or too large for
+    its codec, travels as it is.
     Raises EncodeError for an empty or too large file and for a codec of another product.
     """
     if not 0 < len(jpeg) <= MAX_FILE_BYTES:
         raise EncodeError(f"an image file of {len(jpeg)} bytes is outside 1..{MAX_FILE_BYTES}")
-    if codec not in (None, CodecId.IMAGE_JPEG, CodecId.IMAGE_FILE):
+    if codec not in (None, *_CODECS):
         raise EncodeError(f"codec = {codec!r} does not code JPEG files")
     unchanged = bytes([CodecId.IMAGE_FILE]) + jpeg
     if codec is CodecId.IMAGE_FILE:
@@ -59,7 +62,12 @@ def pack_jpeg(jpeg: bytes, *, codec: CodecId | None = None) -> bytes:
         coefficients = _coefficients(file)
     except (NotBaselineError, UnsoundTableError, UnsoundScanError):
         return unchanged
-    return min(_huffman_coded(file, coefficients), unchanged, key=len)
+    messages = [unchanged]
+    if codec is not CodecId.IMAGE_JPEG:
+        messages += _context_coded(file, coefficients)
+    if len(messages) == 1:
+        messages.append(_huffman_coded(file, coefficients))
+    return min(messages, key=len)
 
 
 def unpack_jpeg(data: bytes) -> bytes:
@@ -71,6 +79,8 @@ def unpack_jpeg(data: bytes) -> bytes:
         return data[1:]
     if codec is CodecId.IMAGE_JPEG:
         return _from_huffman_coded(data)
+    if codec is CodecId.IMAGE_JPEG_CONTEXT:
+        return _from_context_coded(data)
     raise DecodeError(f"a view of codec {codec.name} is no image")
 
 
@@ -78,6 +88,21 @@ def _coefficients(file: JpegFile) -> Ints:
     """All quantised coefficients. Raises UnsoundScanError."""
     layout = layout_of(file.frame, [part.huffman for part in file.frame.components])
     return read_scan(file.scan, layout, file.tables, file.restart_mcus, file.frame.blocks)
+
+
+def _context_coded(file: JpegFile, coefficients: Ints) -> list[bytes]:
+    """The message, or none where it would take too long to read."""
+    coded = encode_coefficients(coefficients, file.frame)
+    return [bytes([CodecId.IMAGE_JPEG_CONTEXT]) + _packed_header(file) + coded] if coded is not None else []
+
+
+def _from_context_coded(data: bytes) -> bytes:
+    header, frame, position = _unpacked_header(data)
+    coefficients = decode_coefficients(data[position:], frame)
+    tables = STANDARD_TABLES.huffman
+    return write_jpeg(
+        header, frame, write_scan(coefficients, layout_of(frame, frame.standard_pairs), tables), tables
+    )
 
 
 def _huffman_coded(file: JpegFile, coefficients: Ints) -> bytes:

@@ -34,6 +34,7 @@ class Component:
     down: int
     columns: int
     rows: int
+    steps: bytes  # quantisation, 64 in zigzag order, none 0
     huffman: int = 0  # which pair of Huffman tables: 0 or 1
 
     @property
@@ -148,18 +149,18 @@ def scaled_table(number: int, quality: int) -> bytes:
 
 def read_header(header: bytes) -> JpegFrame:
     """The frame that a header of `JpegFile.header`'s kind declares. Raises NotBaselineError."""
-    position, frames = 0, []
+    position, frames, steps = 0, [], dict[int, bytes]()
     while position < len(header):
         marker, body, position = _segment(header, position)
         if marker == _SOF0:
-            frames.append(_frame(body))
+            frames.append(body)
         elif marker == _DQT:
-            _check_quantisation(body)
+            steps |= _quantisation(body)
         elif marker not in _KEPT:
             raise NotBaselineError(f"marker 0x{marker:02x} is no part of a header")
     if len(frames) != 1:
         raise NotBaselineError(f"{len(frames)} baseline frames: must be one")
-    return frames[0]
+    return _frame(frames[0], steps)
 
 
 def header_for_decoding(header: bytes) -> JpegFrame:
@@ -184,12 +185,15 @@ def _wrap(marker: int, body: bytes) -> bytes:
     return bytes([0xFF, marker]) + (len(body) + 2).to_bytes(2, "big") + body
 
 
-def _check_quantisation(body: bytes) -> None:
-    if len(body) % 65 or any(body[at] > 3 for at in range(0, len(body), 65)):
-        raise NotBaselineError("a quantisation table is not one of 64 bytes")
+def _quantisation(body: bytes) -> dict[int, bytes]:
+    """The tables of a DQT segment's body, by their numbers."""
+    starts = range(0, len(body), 65)
+    if len(body) % 65 or any(body[at] > 3 or 0 in body[at + 1 : at + 65] for at in starts):
+        raise NotBaselineError("a quantisation table is not one of 64 steps from 1 to 255")
+    return {body[at]: body[at + 1 : at + 65] for at in starts}
 
 
-def _frame(body: bytes) -> JpegFrame:
+def _frame(body: bytes, steps: dict[int, bytes]) -> JpegFrame:
     count = body[5] if len(body) > 5 else 0
     if count not in (1, 3) or len(body) != 6 + 3 * count or body[0] != 8:
         raise NotBaselineError("the frame is not one of 1 or 3 components of 8 bits")
@@ -198,8 +202,8 @@ def _frame(body: bytes) -> JpegFrame:
     factors = [(part[1] >> 4, part[1] & 15) for part in parts]
     if not height or not width or any(not 1 <= side <= 4 for pair in factors for side in pair):
         raise NotBaselineError(f"a frame of {width}x{height} with sampling {factors} is not one to code")
-    if len({part[0] for part in parts}) != count:
-        raise NotBaselineError("two components have one identifier")
+    if len({part[0] for part in parts}) != count or any(part[2] not in steps for part in parts):
+        raise NotBaselineError("two components have one identifier, or one has no quantisation table")
     if count == 1:
         factors = [(1, 1)]  # a scan of one component has no MCUs but its blocks, whatever it declares
     most_across, most_down = max(pair[0] for pair in factors), max(pair[1] for pair in factors)
@@ -207,8 +211,8 @@ def _frame(body: bytes) -> JpegFrame:
         raise NotBaselineError("an MCU holds more than 10 blocks")
     mcus_across, mcus_down = -(-width // (BLOCK * most_across)), -(-height // (BLOCK * most_down))
     components = tuple(
-        Component(part[0], across, down, mcus_across * across, mcus_down * down, min(number, 1))
-        for number, (part, (across, down)) in enumerate(zip(parts, factors, strict=True))
+        Component(part[0], across, down, mcus_across * across, mcus_down * down, steps[part[2]])
+        for part, (across, down) in zip(parts, factors, strict=True)
     )
     return JpegFrame(width, height, components, mcus_across * mcus_down, mcus_across)
 

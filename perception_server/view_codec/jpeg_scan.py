@@ -16,6 +16,7 @@ from .jpeg_tables import SYMBOLS, HuffmanTables, reading_tables, writing_tables
 
 LAYOUT_HEADER, LAYOUT_SIZE = 3, 5
 MOST_DC_BITS, MOST_AC_BITS = 11, 10  # of a baseline file's 8-bit samples
+MOST_AC = (1 << MOST_AC_BITS) - 1
 LEAST_DC, MOST_DC = -1024, 1023  # so that two of them never differ by more than 11 bits
 _POSITION, _HELD, _BITS, _UNSOUND = range(4)  # of a bit reader or writer
 
