@@ -5,7 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 
-MODULES = ("bench.mission", "bench.codec", "bench.ingest", "bench.calibration")
+MODULES = (
+    "bench.mission",
+    "bench.scale",
+    "bench.soak",
+    "bench.codec",
+    "bench.ingest",
+    "bench.calibration",
+)
 
 
 def main() -> int:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from perception_server.overview import ViewError
+from perception_server.errors import NoDataError
 
 FloatArray = NDArray[np.float64]
 LensModel = Literal["pinhole", "fisheye"]
@@ -99,18 +99,20 @@ def camera_model(
 ) -> CameraModel:
     """A model from the fields of CameraInfo or foxglove.CameraCalibration (D, and K by rows).
 
-    Raises ViewError that names the field.
+    Raises NoDataError that names the field.
     """
     for name, side in (("width", width_px), ("height", height_px)):
         if not 1 <= side <= MAX_SIDE_PX:
-            raise ViewError(f"calibration: {name} = {side}: must be within 1..{MAX_SIDE_PX}")
+            raise NoDataError(f"calibration: {name} = {side}: must be within 1..{MAX_SIDE_PX}")
     if len(matrix) != 9:
-        raise ViewError(f"calibration: K has {len(matrix)} numbers: must have 9")
+        raise NoDataError(f"calibration: K has {len(matrix)} numbers: must have 9")
     if not all(map(math.isfinite, (*matrix, *distortion))):
-        raise ViewError("calibration: K and D must be finite numbers")
+        raise NoDataError("calibration: K and D must be finite numbers")
     focal_x, _, centre_x, _, focal_y, centre_y, *_ = matrix
     if focal_x <= 0 or focal_y <= 0:
-        raise ViewError(f"calibration: K has focal lengths {focal_x:g}, {focal_y:g}: must be above 0 pixels")
+        raise NoDataError(
+            f"calibration: K has focal lengths {focal_x:g}, {focal_y:g}: must be above 0 pixels"
+        )
     lens = _lens(distortion_model, len(distortion))
     coefficients = tuple(float(value) for value in distortion)
     return CameraModel(width_px, height_px, focal_x, focal_y, centre_x, centre_y, lens, coefficients)
@@ -119,13 +121,13 @@ def camera_model(
 def _lens(distortion_model: str, count: int) -> LensModel:
     if distortion_model in _FISHEYE_NAMES:
         if count not in (0, 4):
-            raise ViewError(f"calibration: D has {count} numbers: {distortion_model} has 4")
+            raise NoDataError(f"calibration: D has {count} numbers: {distortion_model} has 4")
         return "fisheye"
     if distortion_model in _PINHOLE_NAMES:
         if count not in _PINHOLE_COUNTS:
-            raise ViewError(
+            raise NoDataError(
                 f"calibration: D has {count} numbers: {distortion_model or 'plumb_bob'} has 4, 5 or 8"
             )
         return "pinhole"
     known = ", ".join(sorted((_PINHOLE_NAMES | _FISHEYE_NAMES) - {""}))
-    raise ViewError(f"calibration: distortion_model = {distortion_model!r}: must be one of {known}")
+    raise NoDataError(f"calibration: distortion_model = {distortion_model!r}: must be one of {known}")

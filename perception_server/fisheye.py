@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception_server.camera_model import CameraModel, FloatArray
-from perception_server.overview import ViewError
+from perception_server.errors import RequestError
 
 Picture = NDArray[np.uint8]  # (rows, columns, 3) BGR, or (rows, columns) grey
 
@@ -43,7 +43,7 @@ class VirtualView:
             ("height_px", self.height_px, 1, MAX_VIEW_SIDE_PX),
         ):
             if not low <= value <= high:
-                raise ViewError(f"virtual view: {name} = {value:g}: must be within {low:.4g}..{high:.4g}")
+                raise RequestError(f"{name} = {value:g}: must be within {low:.4g}..{high:.4g}")
 
     @property
     def focal_px(self) -> float:
@@ -65,7 +65,7 @@ def rectify(picture: Picture, camera: CameraModel, view: VirtualView) -> Picture
     """What the virtual camera would have seen; black where the real one saw nothing.
 
     A picture of another size than the calibration's is taken as the same picture, scaled. Where the view
-    is coarser than the source, several samples are averaged for each pixel. Raises ViewError if the view
+    is coarser than the source, several samples are averaged for each pixel. Raises RequestError if the view
     lies wholly outside of the picture.
     """
     rows, columns = picture.shape[:2]
@@ -76,9 +76,8 @@ def rectify(picture: Picture, camera: CameraModel, view: VirtualView) -> Picture
         map_x = (map_x + np.float32(0.5)) * np.float32(scale_x) - np.float32(0.5)
         map_y = (map_y + np.float32(0.5)) * np.float32(scale_y) - np.float32(0.5)
     if not np.any((map_x > -1) & (map_x < columns) & (map_y > -1) & (map_y < rows)):
-        raise ViewError(
-            f"virtual view: pan_rad = {view.pan_rad:g}, tilt_rad = {view.tilt_rad:g}: the camera sees "
-            "nothing there"
+        raise RequestError(
+            f"pan_rad = {view.pan_rad:g}, tilt_rad = {view.tilt_rad:g}: the camera sees nothing there"
         )
     straight: Picture = cv2.remap(picture, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     if sampling == 1:

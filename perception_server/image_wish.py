@@ -59,12 +59,14 @@ class Look:
 class ImageWish:
     """A request with everything said.
 
-    source: "" for the only camera. at_ns: capture time wanted; None for the newest frame.
+    source: "" for the only camera, or the one of the name camera_hint.
+    at_ns: capture time wanted; None for the newest frame.
     limits_px: the base picture is as large as fits in, proportions kept; None: by the whole factor
     downsample. chips: regions at full resolution; None for one in the middle.
     """
 
     source: str = ""
+    camera_hint: str = ""
     at_ns: int | None = None
     again: bool = False
     grey: bool = False
@@ -101,6 +103,7 @@ def image_wish(request: ImageRequest) -> ImageWish:
         chips = None
     return ImageWish(
         source=said.source,
+        camera_hint=request.preset.partition("_")[0],
         at_ns=said.at_ns if said.HasField("at_ns") else None,
         again=said.again,
         grey=said.grey,

@@ -61,10 +61,12 @@ def _dictionary(path: Path) -> TopicEncoding:
 
 def _bounded(table: EncodingTable, folder: Path) -> TopicEncoding:
     from messages.payload.bounded import BoundedEncoding
+    from messages.payload.joint_maps import joint_maps
 
+    message_type = _message_type(table, folder)
     return BoundedEncoding(
-        _message_type(table, folder),
-        (),
+        message_type,
+        joint_maps(message_type),
         out_of_range=table.out_of_range,
         assume=table.assume,
         publish=table.publish,

@@ -16,17 +16,9 @@ from straitlink.commands.recordings import app as recordings_app
 from straitlink.commands.virtual import app as virtual_app
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
-for commands in (
-    demo_app,
-    live_app,
-    link_app,
-    keygen_app,
-    virtual_app,
-    recordings_app,
-    messages_app,
-    perception_app,
-):
+for commands in (demo_app, live_app, link_app, keygen_app, virtual_app, recordings_app, perception_app):
     app.registered_commands += commands.registered_commands
+app.add_typer(messages_app, name="messages")
 
 EXIT_USAGE = 2  # a setting, a file or an address that cannot be
 

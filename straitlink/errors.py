@@ -6,6 +6,8 @@ from __future__ import annotations
 def user_errors() -> tuple[type[Exception], ...]:
     """The base classes of the packages' own errors; imported only when something was raised."""
     from messages.dccl import DcclError
+    from messages.payload import PayloadError
+    from messages.urdf import UrdfError
     from netem_scripts.band import ProfileError
     from netem_scripts.udp_proxy import ProxyError
     from perception_server.overview import ViewError
@@ -21,6 +23,8 @@ def user_errors() -> tuple[type[Exception], ...]:
     return (
         ShaperError,
         DcclError,
+        PayloadError,
+        UrdfError,
         BusError,
         UdpError,
         MetricsError,

@@ -7,6 +7,8 @@ import math
 from messages.dccl.errors import DecodeError
 from messages.dccl.fields import TimeWire
 
+_NS_PER_S = 1_000_000_000
+
 
 class TimeWindow:
     """Decodes one dccl.time field."""
@@ -16,13 +18,13 @@ class TimeWindow:
         self._wire = wire
         self._numeric = wire.numeric
 
-    def value(self, bits: int, now_s: int | None) -> float | int | None:
+    def value(self, bits: int, now_ns: int | None) -> float | int | None:
         """The time nearest to the receiver's clock, in the field's unit; None for unset.
 
-        now_s: Unix time in whole seconds. DCCL's halves of the window are whole seconds as well.
+        now_ns: Unix time; DCCL counts it in whole seconds, and its halves of the window are whole as well.
         """
         n = self._numeric
-        if now_s is None:
+        if now_ns is None:
             raise DecodeError(f"{self._path} is a dccl.time: decoding it needs now_ns, the receiver's clock")
         if bits > n.greatest_wire:
             raise DecodeError(f"{self._path}: {bits} on the wire is beyond {self._wire.window_s} s")
@@ -30,6 +32,7 @@ class TimeWindow:
         if time_s is None:
             return None
         window_s = self._wire.window_s
+        now_s = now_ns // _NS_PER_S
         today_s = now_s % window_s
         start_s = now_s - today_s
         if time_s - today_s > window_s // 2:

@@ -181,7 +181,7 @@ class Codec(Generic[M]):
             data = head + self._cipher(head, data[len(head) :])
         self._restart()
         try:
-            decoded = decoder(data, None if now_ns is None else now_ns // _NS_PER_S)
+            decoded = decoder(data, now_ns)
         except (ConditionError, ValueError, OverflowError) as error:
             raise DecodeError(f"{self.schema.name}: {error}") from error
         for use in self._adaptive:

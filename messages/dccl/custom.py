@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from google.protobuf.descriptor import FieldDescriptor
 
+from messages.dccl.limits import Deviations, Treatment
 from messages.dccl.options import FieldOptions
 
 
@@ -42,3 +43,35 @@ class FieldCodec(Protocol):
 
 
 FieldCodecs = Mapping[str, FieldCodec]
+
+BoundEncoder = Callable[[Any, Deviations], tuple[int, int]]
+
+
+class OwnFieldCodec(Protocol):
+    """A field codec of straitlink.1: one that also knows what to do out of range, and the time.
+
+    Its repr stands for what its bits mean: schemas whose fields differ there have different hashes.
+    """
+
+    @property
+    def min_bits(self) -> int:
+        """Its least size."""
+        ...
+
+    @property
+    def max_bits(self) -> int:
+        """Its greatest size."""
+        ...
+
+    @property
+    def shown(self) -> tuple[float, float, float] | None:
+        """Minimum, maximum and resolution, for tables."""
+        ...
+
+    def encoder(self, path: str, treatment: Treatment, is_strict: bool) -> BoundEncoder:
+        """As BoundFieldCodec.encode, for the field at a path."""
+        ...
+
+    def decode(self, bits: int, available: int, now_ns: int | None) -> tuple[Any, int]:
+        """As BoundFieldCodec.decode. now_ns: the receiver's Unix time, if known."""
+        ...

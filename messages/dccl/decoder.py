@@ -24,6 +24,7 @@ from messages.dccl.fields import (
     Message,
     MessageWire,
     NumberWire,
+    OwnWire,
     StaticWire,
     TextWire,
     TimeWire,
@@ -40,11 +41,11 @@ def compile_decoder(
 ) -> tuple[Decoder, str]:
     """The decoder of a schema, and its source.
 
-    It takes the bytes and the receiver's clock in Unix seconds (for time fields), and returns the message
+    It takes the bytes and the receiver's Unix time in ns (for time fields), and returns the message
     and how many bytes it took; or raises DecodeError.
     """
     plan = _DecoderPlan(schema, schema_hash)
-    arguments = "data, now_s"
+    arguments = "data, now_ns"
     names = {"from_bytes": int.from_bytes, "unpack": unpack, "new": message_type, "DecodeError": DecodeError}
     return plan.source.compile("decode", arguments, **names), plan.source.text("decode", arguments)
 
@@ -89,10 +90,10 @@ class _DecoderPlan:
         for f in message.fields:
             if f.conditions is not None:
                 self._conditional(owner, f, chosen.get(f.name))
-            elif isinstance(f.wire, CustomWire) and f.name in chosen:
+            elif isinstance(f.wire, CustomWire | OwnWire) and f.name in chosen:
                 with self._bits.branch(f"if {chosen[f.name]}:"):
                     self._custom(owner, f)
-            elif isinstance(f.wire, CustomWire):
+            elif isinstance(f.wire, CustomWire | OwnWire):
                 self._custom(owner, f)
             elif f.max_repeat is not None:
                 self._repeated(owner, f)
@@ -140,11 +141,12 @@ class _DecoderPlan:
 
     def _custom(self, owner: str, f: Field) -> None:
         wire = f.wire
-        assert isinstance(wire, CustomWire)  # the caller has looked
+        assert isinstance(wire, CustomWire | OwnWire)  # the caller has looked
         codec = self.source.constant("codec", wire.codec)
         value, taken = self.source.name("v"), self.source.name("n")
         place = self._bits.place()
-        self.source.line(f"{value}, {taken} = {codec}.decode(x >> {place}, 8 * size - ({place}))")
+        now = ", now_ns" if isinstance(wire, OwnWire) else ""
+        self.source.line(f"{value}, {taken} = {codec}.decode(x >> {place}, 8 * size - ({place}){now})")
         if f.max_repeat is not None:
             self.source.line(f"{attribute(owner, f.name)}.extend({value})")
         else:
@@ -197,7 +199,7 @@ class _DecoderPlan:
         if isinstance(wire, TimeWire):
             window = self.source.constant("time", TimeWindow(f.path, wire))
             value = self.source.name("v")
-            self.source.line(f"{value} = {window}.value({self._bits.read(wire.numeric.bits)}, now_s)")
+            self.source.line(f"{value} = {window}.value({self._bits.read(wire.numeric.bits)}, now_ns)")
             return value, "" if wire.numeric.is_required else f"{value} is not None"
         if isinstance(wire, BoolWire):
             if wire.is_required:

@@ -24,6 +24,7 @@ from messages.dccl.fields import (
     Message,
     MessageWire,
     NumberWire,
+    OwnWire,
     TextWire,
     TimeWire,
 )
@@ -108,7 +109,7 @@ class _EncoderPlan:
         for f in message.fields:
             if f.conditions is not None:
                 self._conditional(bits, owner, f, chosen.get(f.name))
-            elif isinstance(f.wire, CustomWire):
+            elif isinstance(f.wire, CustomWire | OwnWire):
                 self._custom(bits, owner, f, chosen.get(f.name))
             elif f.max_repeat is not None:
                 self._repeated(bits, owner, f)
@@ -186,17 +187,21 @@ class _EncoderPlan:
 
     def _custom(self, bits: BitWriter, owner: str, f: Field, oneof: str | None) -> None:
         wire = f.wire
-        assert isinstance(wire, CustomWire)  # the caller has looked
-        codec = self.source.constant("codec", wire.codec)
+        assert isinstance(wire, CustomWire | OwnWire)  # the caller has looked
+        if isinstance(wire, OwnWire):
+            bound = wire.codec.encoder(f.path, self._policy.treatment(f.path), self._policy.is_strict)
+            encode, deviations = self.source.constant("encode", bound), ", deviations"
+        else:
+            encode, deviations = f"{self.source.constant('codec', wire.codec)}.encode", ""
         value = attribute(owner, f.name)
         if f.max_repeat is not None:
             value = f"{value}[:]"
         elif not f.descriptor.is_required:
             value = f"{value} if {owner}.HasField({f.name!r}) else None"
         inner = BitWriter(self.source)
-        result = f"{codec}.encode({value})"
+        result = f"{encode}({value}{deviations})"
         if oneof:
-            result = f"{codec}.encode({attribute(owner, f.name)}) if {oneof} == {f.name!r} else (0, 0)"
+            result = f"{encode}({attribute(owner, f.name)}{deviations}) if {oneof} == {f.name!r} else (0, 0)"
         self.source.line(f"{inner.value}, {inner.size} = {result}")
         inner.is_assigned, inner.at = True, None
         low, high = (0, 1) if oneof else wire.size

@@ -7,7 +7,7 @@ from typing import Literal
 
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
-from messages.dccl.custom import BoundFieldCodec
+from messages.dccl.custom import BoundFieldCodec, OwnFieldCodec
 from messages.dccl.numeric import Numeric
 from messages.dccl.options import Conditions, FieldOptions
 
@@ -124,6 +124,18 @@ class CustomWire:
 
 
 @dataclass(frozen=True, slots=True)
+class OwnWire:
+    """A codec of straitlink.1; it too sees repeated fields as a whole, and presence is its own affair."""
+
+    codec: OwnFieldCodec
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Least and greatest size of a value, bits."""
+        return self.codec.min_bits, self.codec.max_bits
+
+
+@dataclass(frozen=True, slots=True)
 class MessageWire:
     """An embedded message, field after field in place."""
 
@@ -136,7 +148,16 @@ class MessageWire:
 
 
 Wire = (
-    NumberWire | TimeWire | BoolWire | EnumWire | TextWire | StaticWire | HashWire | CustomWire | MessageWire
+    NumberWire
+    | TimeWire
+    | BoolWire
+    | EnumWire
+    | TextWire
+    | StaticWire
+    | HashWire
+    | CustomWire
+    | OwnWire
+    | MessageWire
 )
 
 
@@ -181,7 +202,7 @@ class Field:
     def size(self) -> tuple[int, int]:
         """Least and greatest size in a message, bits."""
         low, high = self.element_size
-        if self.max_repeat is not None and not isinstance(self.wire, CustomWire):
+        if self.max_repeat is not None and not isinstance(self.wire, CustomWire | OwnWire):
             low = self.count_bits + low * (self.max_repeat if self.is_padded else self.min_repeat or 0)
             high = self.count_bits + high * self.max_repeat
         if self.when_required is not None:

@@ -11,6 +11,7 @@ from messages.dccl.fields import (
     Message,
     MessageWire,
     NumberWire,
+    OwnWire,
     Part,
     TextWire,
     TimeWire,
@@ -122,6 +123,8 @@ def _bounds(field: Field) -> tuple[float | None, float | None, float | None]:
     wire = field.wire
     if isinstance(wire, NumberWire | TimeWire):
         return wire.numeric.minimum, wire.numeric.maximum, wire.numeric.resolution
+    if isinstance(wire, OwnWire) and wire.codec.shown is not None:
+        return wire.codec.shown
     if isinstance(wire, EnumWire):
         return wire.numeric.minimum, wire.numeric.maximum, None
     if isinstance(wire, BoolWire):

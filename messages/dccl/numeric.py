@@ -12,9 +12,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from google.protobuf.descriptor import FieldDescriptor
 
 NumberType = Literal["double", "float", "int32", "int64", "uint32", "uint64"]
 
+NUMBER_TYPES: dict[int, NumberType] = {
+    FieldDescriptor.CPPTYPE_DOUBLE: "double",
+    FieldDescriptor.CPPTYPE_FLOAT: "float",
+    FieldDescriptor.CPPTYPE_INT32: "int32",
+    FieldDescriptor.CPPTYPE_INT64: "int64",
+    FieldDescriptor.CPPTYPE_UINT32: "uint32",
+    FieldDescriptor.CPPTYPE_UINT64: "uint64",
+}
 _INTEGER_BITS = {"int32": 32, "uint32": 32, "int64": 64, "uint64": 64}
 _FLOAT = struct.Struct("<f")
 MAX_FLOAT = 3.4028234663852886e38

@@ -11,6 +11,7 @@ from google.protobuf.message import Message as ProtobufMessage
 
 from messages.dccl.errors import SchemaError
 from messages.proto.dccl import option_extensions_pb2 as extensions
+from messages.proto.dccl import straitlink_extensions_pb2 as own_extensions
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,17 @@ class Conditions:
     only_if: str | None
     minimum: str | None
     maximum: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class ExactOptions:
+    """[straitlink.exact] of one field: numbers as text; None where the option is not set."""
+
+    minimum: str | None
+    maximum: str | None
+    resolution: str | None
+    steps: int | None
+    per_second: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +57,7 @@ class FieldOptions:
     unit: str
     conditions: Conditions | None
     arithmetic_model: str | None
+    exact: ExactOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +103,7 @@ def field_options(field: FieldDescriptor) -> FieldOptions:
         arithmetic_model=options.Extensions[extensions.arithmetic].model
         if options.HasExtension(extensions.arithmetic)
         else None,
+        exact=_exact(options),
     )
 
 
@@ -142,4 +156,15 @@ def _conditions(options: extensions.DCCLFieldOptions) -> Conditions | None:
         only_if=dynamic.only_if if dynamic.HasField("only_if") else None,
         minimum=dynamic.min if dynamic.HasField("min") else None,
         maximum=dynamic.max if dynamic.HasField("max") else None,
+    )
+
+
+def _exact(options: extensions.DCCLFieldOptions) -> ExactOptions:
+    exact = options.Extensions[own_extensions.exact]
+    return ExactOptions(
+        minimum=exact.min if exact.HasField("min") else None,
+        maximum=exact.max if exact.HasField("max") else None,
+        resolution=exact.resolution if exact.HasField("resolution") else None,
+        steps=exact.steps if exact.HasField("steps") else None,
+        per_second=exact.per_second if exact.HasField("per_second") else None,
     )

@@ -23,6 +23,7 @@ from messages.dccl.fields import (
     MessageWire,
     NumberWire,
     OneOf,
+    OwnWire,
     Part,
     TimeWire,
     Wire,
@@ -191,7 +192,7 @@ class _Builder:
         field = self._bind(declared, options, name, prefix, embedded, is_required=False)
         if options.conditions is None:
             return field
-        if isinstance(field.wire, CustomWire):
+        if isinstance(field.wire, CustomWire | OwnWire):
             raise SchemaError(f"{declared.full_name}: codec {name.text} cannot have dynamic_conditions")
         required = self._bind(declared, options, name, prefix, embedded, is_required=True)
         return replace(field, conditions=options.conditions, when_required=required)
@@ -225,7 +226,7 @@ class _Builder:
             has_presence_bit,
             low,
             high,
-            count_bits if not isinstance(wire, CustomWire) else 0,
+            count_bits if not isinstance(wire, CustomWire | OwnWire) else 0,
             is_padded=declared.is_repeated and self._version == 2,
             is_oneof_member=is_member,
         )

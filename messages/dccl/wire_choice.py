@@ -20,13 +20,15 @@ from messages.dccl.fields import (
     Message,
     MessageWire,
     NumberWire,
+    OwnWire,
     StaticWire,
     TextWire,
     TimeWire,
     Wire,
 )
-from messages.dccl.numeric import NumberType, clog2, make_numeric, type_bounds
+from messages.dccl.numeric import NUMBER_TYPES, clog2, make_numeric, type_bounds
 from messages.dccl.options import FieldOptions, message_options
+from messages.dccl.straitlink.choice import GROUP, OWN, QUATERNION, bind_own
 
 DAY_S = 86400
 _MAX_STEPS = 2.0**53  # what a double tells apart
@@ -41,15 +43,6 @@ _FAMILIES = {
     "dccl.arithmetic": (2, 3, 4),
 }
 _ALIASES = {"_time": "dccl.time", "_static": "dccl.static", "_arithmetic": "dccl.arithmetic"}
-
-_NUMBER_TYPES: dict[int, NumberType] = {
-    FieldDescriptor.CPPTYPE_DOUBLE: "double",
-    FieldDescriptor.CPPTYPE_FLOAT: "float",
-    FieldDescriptor.CPPTYPE_INT32: "int32",
-    FieldDescriptor.CPPTYPE_INT64: "int64",
-    FieldDescriptor.CPPTYPE_UINT32: "uint32",
-    FieldDescriptor.CPPTYPE_UINT64: "uint64",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,16 +77,29 @@ def codec_name(
             if custom.bind(field, options) is None:
                 return CodecName(f"dccl.default{version}", "dccl.default", version, None, is_message)
             return CodecName(candidate, candidate, version, custom, is_message)
+    if name in OWN:
+        return _own_name(field, name, version)
     for candidate in candidates:
         family = candidate.rstrip("0123456789")
         number = int(candidate[len(family) :] or version)
         family = _ALIASES.get(family, family)
         if number in _FAMILIES.get(family, ()):
             return CodecName(f"{family}{number}", family, number, None, is_message)
-    known = ", ".join(sorted([*_FAMILIES, *codecs]))
+    known = ", ".join(sorted([*_FAMILIES, *OWN, *codecs]))
     raise SchemaError(
         f"{field.full_name}: codec {name!r} is not known with codec_version {version}; known are {known}"
     )
+
+
+def _own_name(field: FieldDescriptor, name: str, version: int) -> CodecName:
+    """One of straitlink.1's codecs; in its group, all but numbers are as in DCCL's version 4."""
+    if version < 4:
+        raise SchemaError(f"{field.full_name}: codec {name} needs codec_version 4, not {version}")
+    if name == GROUP and field.cpp_type not in NUMBER_TYPES:
+        return CodecName(name, "dccl.default", 4, None, field.message_type is not None)
+    if field.message_type is not None and name != QUATERNION:
+        raise SchemaError(f"{field.full_name}: codec {name} is for numbers")
+    return CodecName(name, name, version, None, field.message_type is not None)
 
 
 def bind_wire(
@@ -110,6 +116,8 @@ def bind_wire(
         bound = name.custom.bind(field, options)
         assert bound is not None  # codec_name has asked
         return CustomWire(bound), False
+    if name.family in OWN:
+        return OwnWire(bind_own(field, options, name.family, is_required)), False
     if embedded is not None:
         return MessageWire(embedded), name.version >= 3 and not is_required
     if name.family == "dccl.arithmetic":
@@ -140,7 +148,7 @@ def _default(field: FieldDescriptor, options: FieldOptions, name: CodecName, is_
 
 
 def _number(field: FieldDescriptor, options: FieldOptions, is_required: bool) -> NumberWire:
-    number_type = _NUMBER_TYPES[field.cpp_type]
+    number_type = NUMBER_TYPES[field.cpp_type]
     low, high = options.minimum, options.maximum
     if low is None or high is None:
         _fail(field, "a number needs (dccl.field).min and (dccl.field).max")
@@ -212,7 +220,7 @@ def _text(
 
 
 def _time(field: FieldDescriptor, options: FieldOptions, is_required: bool) -> TimeWire:
-    number_type = _NUMBER_TYPES.get(field.cpp_type)
+    number_type = NUMBER_TYPES.get(field.cpp_type)
     if number_type not in ("double", "int64", "uint64"):
         _fail(field, "dccl.time is for double (seconds), int64 and uint64 (microseconds)")
     if options.num_days < 1:
@@ -252,9 +260,9 @@ def _static_value(field: FieldDescriptor, text: str) -> object:
         _fail(field, "dccl.static is for one value, not for repeated or embedded ones")
     if field.cpp_type in (FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_FLOAT):
         return float(text)
-    if field.cpp_type in _NUMBER_TYPES:
+    if field.cpp_type in NUMBER_TYPES:
         value = int(text)
-        low, high = type_bounds(_NUMBER_TYPES[field.cpp_type])
+        low, high = type_bounds(NUMBER_TYPES[field.cpp_type])
         if not low <= value <= high:
             raise ValueError(text)
         return value

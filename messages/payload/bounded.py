@@ -80,6 +80,7 @@ class BoundedEncoding:
         name = message_type.DESCRIPTOR.full_name
         agreed = sorted({m.description for m in self._maps.values()})
         self.description = f"DCCL {name} schema {self.codec.schema_hash:x} maps {agreed}"
+        self._assume = ""  # while its own name is looked up
         self._assume = self._known(assume) if assume else ""
         self._publish = self._known(publish) if publish else ""
 

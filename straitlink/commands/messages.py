@@ -8,20 +8,65 @@ from typing import Annotated
 
 import typer
 
-app = typer.Typer()
+app = typer.Typer(invoke_without_command=True)
 
 
-@app.command()
+@app.callback()
 def messages(
+    context: typer.Context,
     proto: Annotated[list[Path], typer.Option(help="A .proto file with DCCL bounds; may be repeated.")] = [],  # noqa: B006 (typer reads the default, nobody changes it)
     include: Annotated[list[Path], typer.Option("--include", "-I", help="Folder that it imports from.")] = [],  # noqa: B006
     as_json: Annotated[bool, typer.Option("--json", help="Print sizes as JSON.")] = False,
 ) -> None:
     """Print the topics of the catalogue, or the bit budget of each DCCL message in .proto files."""
+    if context.invoked_subcommand is not None:
+        return
     if proto:
         _print_budgets(proto, include, as_json)
     else:
         _print_catalogue(as_json)
+
+
+@app.command()
+def from_urdf(
+    urdf: Annotated[Path, typer.Argument(help="The robot's URDF, expanded (no xacro).")],
+    bits: Annotated[int | None, typer.Option(help="For each position, instead of a resolution.")] = None,
+    resolution_rad: Annotated[float, typer.Option(help="Of turning joints, rad.")] = 0.001,
+    resolution_m: Annotated[float, typer.Option(help="Of sliding joints, m.")] = 0.0005,
+    velocity_bits: Annotated[int, typer.Option(help="For each velocity; 0 leaves them out.")] = 0,
+    effort_bits: Annotated[int, typer.Option(help="For each effort; 0 leaves them out.")] = 0,
+    margin_ratio: Annotated[float, typer.Option(help="Share of a range beyond each of its limits.")] = 0.0,
+    stamp: Annotated[bool, typer.Option(help="Carry the sample's time, ms in 42 bits.")] = True,
+    joints_from: Annotated[Path | None, typer.Option(help="A log: its joints only, in its order.")] = None,
+    topic: Annotated[str | None, typer.Option(help="Of that log; the first with joint states.")] = None,
+    out: Annotated[Path | None, typer.Option("-o", help="The .proto file; else it is printed.")] = None,
+) -> None:
+    """Make a .proto of a robot's joints, each with its own limits: a topic's encoding without code."""
+    from messages.from_urdf import Detail, proto_of
+    from messages.urdf import UrdfError, parse_urdf
+    from straitlink.joint_log import joint_names_in
+
+    try:
+        robot = parse_urdf(urdf.read_bytes())
+    except UrdfError as error:
+        raise UrdfError(f"{urdf}: {error}") from error
+    names = None if joints_from is None else joint_names_in(joints_from, topic)
+    known = {joint.name for joint in robot.joints}
+    missing = [name for name in names or () if name not in known]
+    if missing:
+        raise UrdfError(f"{urdf}: has no movable joint {missing[0]!r}, which {joints_from} tells")
+    try:
+        detail = Detail(
+            bits, resolution_rad, resolution_m, velocity_bits, effort_bits, margin_ratio, has_stamp=stamp
+        )
+        text = proto_of(robot, detail, urdf.name, names)
+    except ValueError as error:
+        raise UrdfError(f"{urdf}: {error}") from error
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        out.write_text(text)
+        _print_budgets([out], [], as_json=False)
 
 
 def _print_budgets(protos: list[Path], folders: list[Path], as_json: bool) -> None:

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from perception_server.camera_model import CameraModel, camera_model
+from perception_server.errors import NoDataError, RequestError
 from perception_server.fisheye import VirtualView, rectify
-from perception_server.overview import ViewError
 from straitlink.synthetic.camera import Pinhole, Renderer
 from straitlink.synthetic.fisheye import FisheyeRenderer
 from straitlink.synthetic.rigid import transform
@@ -125,7 +125,7 @@ def test_a_picture_of_half_the_calibrated_size_shows_the_same() -> None:
 
 def test_a_view_of_nothing_is_an_error_and_one_over_the_edge_is_black_there() -> None:
     camera = lens("equidistant")
-    with pytest.raises(ViewError, match="pan_rad = 3"):
+    with pytest.raises(RequestError, match="pan_rad = 3"):
         rectify(np.full((480, 640), 200, np.uint8), camera, VirtualView(pan_rad=3.0, field_of_view_rad=0.5))
     partly = rectify(
         np.full((480, 640), 200, np.uint8), camera, VirtualView(pan_rad=1.2, field_of_view_rad=1.4)
@@ -137,7 +137,7 @@ def test_a_view_of_nothing_is_an_error_and_one_over_the_edge_is_black_there() ->
     ("field", "value"), [("field_of_view_rad", 3.2), ("tilt_rad", 2.0), ("width_px", 0), ("height_px", 9999)]
 )
 def test_a_view_out_of_bounds_names_the_field(field: str, value: float) -> None:
-    with pytest.raises(ViewError, match=f"{field} = .*must be within"):
+    with pytest.raises(RequestError, match=f"{field} = .*must be within"):
         VirtualView(**{field: value})  # type: ignore[arg-type]
 
 
@@ -160,7 +160,7 @@ def test_a_calibration_that_cannot_be_is_refused_by_field(change: dict[str, obje
         "distortion": (),
         "matrix": MATRIX,
     }
-    with pytest.raises(ViewError, match=named):
+    with pytest.raises(NoDataError, match=named):
         camera_model(**(fields | change))  # type: ignore[arg-type]
 
 
@@ -179,6 +179,6 @@ def test_any_calibration_and_view_give_a_picture_or_an_error(
         seen = rectify(
             np.full((48, 64, 3), 9, np.uint8), camera, VirtualView(pan, tilt, field_of_view, 20, 16)
         )
-    except ViewError:
+    except RequestError:
         return
     assert seen.shape == (16, 20, 3)

@@ -10,6 +10,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import Message
 
 from messages.proto.dccl import option_extensions_pb2 as extensions
+from messages.proto.dccl import straitlink_extensions_pb2 as own_extensions
 
 F = descriptor_pb2.FieldDescriptorProto
 
@@ -75,6 +76,8 @@ def _set_options(target: Message, options: dict[str, Any]) -> None:
     for name, value in options.items():
         if name == "arithmetic":
             target.Extensions[extensions.arithmetic].model = value  # type: ignore[attr-defined]
+        elif name == "exact":
+            _set_options(target.Extensions[own_extensions.exact], value)  # type: ignore[attr-defined]
         elif isinstance(value, dict):
             _set_options(getattr(target, name), value)
         else:

@@ -155,9 +155,9 @@ def test_a_codec_of_our_own_serves_a_field_and_leaves_others_to_dccl() -> None:
     mixed = declare(
         number("a", 0, 15, "uint32", label="repeated", max_repeat=5),
         number("b", 0, 3, "uint32"),
-        codec_group="straitlink.1",
+        codec_group="acme.1",
     )
-    codec = Codec(mixed, field_codecs={"straitlink.1": Nibbles()})
+    codec = Codec(mixed, field_codecs={"acme.1": Nibbles()})
     sent = mixed(a=[1, 15, 7], b=2)
     assert codec.encode(sent) == bytes([10, 0x13, 0x7F, 0x02])
     assert codec.decode(codec.encode(sent)) == sent

@@ -1,0 +1,75 @@
+"""Numbers on an exact lattice: minimum, minimum + resolution, ... up to and including the maximum.
+
+Bounds and resolution are rationals, and each value is rounded to its nearest step as the rational that its
+bits are: no width and no halfway case depends on the rounding of floating-point formulas.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+MAX_COUNT = 2**64  # values of one number: all those of a 64-bit integer
+_RATIONAL = re.compile(r"[+-]?\d{1,40}(\.\d{1,40})?(/\d{1,40})?")
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """The lattice of one number; `count` values, the last of which is the maximum wherever it lies.
+
+    is_integer: values come out as int, else as the double next to the rational.
+    """
+
+    minimum: Fraction
+    maximum: Fraction
+    resolution: Fraction
+    is_integer: bool
+    count: int = field(init=False)
+    _origin: int = field(init=False)  # minimum, resolution and maximum in units of 1 / _scale
+    _step: int = field(init=False)
+    _end: int = field(init=False)
+    _scale: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        scale = math.lcm(self.minimum.denominator, self.resolution.denominator, self.maximum.denominator)
+        for name, value in (
+            ("count", math.ceil((self.maximum - self.minimum) / self.resolution) + 1),
+            ("_scale", scale),
+            ("_origin", int(self.minimum * scale)),
+            ("_step", int(self.resolution * scale)),
+            ("_end", int(self.maximum * scale)),
+        ):
+            object.__setattr__(self, name, value)
+
+    def index(self, value: float) -> int:
+        """The step nearest to a finite value within the bounds; halfway between two, the upper one."""
+        numerator, denominator = value.as_integer_ratio()
+        step = self._step * denominator
+        index = (2 * (numerator * self._scale - self._origin * denominator) + step) // (2 * step)
+        if index < self.count - 2:
+            return max(index, 0)
+        if self.count == 1:
+            return 0
+        # The last step may be a short one: what is nearer to the maximum is sent as the maximum.
+        middle = self._origin + (self.count - 2) * self._step + self._end
+        return self.count - (1 if 2 * numerator * self._scale >= middle * denominator else 2)
+
+    def value(self, index: int) -> float | int:
+        """The value of a step of 0 to count - 1."""
+        exact = min(self._origin + index * self._step, self._end)
+        return exact // self._scale if self.is_integer else exact / self._scale
+
+
+def as_written(number: float) -> Fraction:
+    """A double as the shortest decimal that denotes it: 0.1 is a tenth, as in the file that says 0.1."""
+    return Fraction(repr(number))
+
+
+def rational(text: str) -> Fraction | None:
+    """The number of a text such as "1/3" or "-0.25"; None if it is none."""
+    if not _RATIONAL.fullmatch(text):
+        return None
+    above, _, below = text.partition("/")
+    return None if below and not int(below) else Fraction(above) / int(below or 1)
