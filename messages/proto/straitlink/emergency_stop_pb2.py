@@ -22,17 +22,28 @@ _runtime_version.ValidateProtobufRuntimeVersion(
 _sym_db = _symbol_database.Default()
 
 
+from messages.proto.dccl import option_extensions_pb2 as dccl_dot_option__extensions__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n.messages/proto/straitlink/emergency_stop.proto\x12\nstraitlink\"\xad\x02\n\rEmergencyStop\x12\x17\n\ncapture_ns\x18\x01 \x01(\x06H\x00\x88\x01\x01\x12\x15\n\x08sequence\x18\x02 \x01(\x07H\x01\x88\x01\x01\x12\x17\n\nis_engaged\x18\x03 \x01(\x08H\x02\x88\x01\x01\x12\x35\n\x06reason\x18\x04 \x01(\x0e\x32 .straitlink.EmergencyStop.ReasonH\x03\x88\x01\x01\"f\n\x06Reason\x12\x16\n\x12REASON_UNSPECIFIED\x10\x00\x12\x13\n\x0fREASON_OPERATOR\x10\x01\x12\x18\n\x14REASON_OPERATOR_LOST\x10\x02\x12\x15\n\x11REASON_SUPERVISOR\x10\x03\x42\r\n\x0b_capture_nsB\x0b\n\t_sequenceB\r\n\x0b_is_engagedB\t\n\x07_reasonb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n.messages/proto/straitlink/emergency_stop.proto\x12\nstraitlink\x1a\x1c\x64\x63\x63l/option_extensions.proto\"\x87\x03\n\rEmergencyStop\x12\x1e\n\ncapture_ns\x18\x01 \x01(\x06\x42\x05\xa2?\x02\x10\x01H\x00\x88\x01\x01\x12=\n\x08sequence\x18\x02 \x01(\x07\x42&\xa2?#)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\xe0\xff\xff\xff\xef\x41\xa2\x01\x0esender\'s countH\x01\x88\x01\x01\x12\'\n\nis_engaged\x18\x03 \x01(\x08\x42\x0e\xa2?\x0b\xa2\x01\x08operatorH\x02\x88\x01\x01\x12\x45\n\x06reason\x18\x04 \x01(\x0e\x32 .straitlink.EmergencyStop.ReasonB\x0e\xa2?\x0b\xa2\x01\x08operatorH\x03\x88\x01\x01\"f\n\x06Reason\x12\x16\n\x12REASON_UNSPECIFIED\x10\x00\x12\x13\n\x0fREASON_OPERATOR\x10\x01\x12\x18\n\x14REASON_OPERATOR_LOST\x10\x02\x12\x15\n\x11REASON_SUPERVISOR\x10\x03:\t\xa2?\x06\x08\x11\x10\x07(\x04\x42\r\n\x0b_capture_nsB\x0b\n\t_sequenceB\r\n\x0b_is_engagedB\t\n\x07_reasonb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'messages.proto.straitlink.emergency_stop_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_EMERGENCYSTOP']._serialized_start=63
-  _globals['_EMERGENCYSTOP']._serialized_end=364
-  _globals['_EMERGENCYSTOP_REASON']._serialized_start=208
-  _globals['_EMERGENCYSTOP_REASON']._serialized_end=310
+  _globals['_EMERGENCYSTOP'].fields_by_name['capture_ns']._loaded_options = None
+  _globals['_EMERGENCYSTOP'].fields_by_name['capture_ns']._serialized_options = b'\242?\002\020\001'
+  _globals['_EMERGENCYSTOP'].fields_by_name['sequence']._loaded_options = None
+  _globals['_EMERGENCYSTOP'].fields_by_name['sequence']._serialized_options = b'\242?#)\000\000\000\000\000\000\000\0001\000\000\340\377\377\377\357A\242\001\016sender\'s count'
+  _globals['_EMERGENCYSTOP'].fields_by_name['is_engaged']._loaded_options = None
+  _globals['_EMERGENCYSTOP'].fields_by_name['is_engaged']._serialized_options = b'\242?\013\242\001\010operator'
+  _globals['_EMERGENCYSTOP'].fields_by_name['reason']._loaded_options = None
+  _globals['_EMERGENCYSTOP'].fields_by_name['reason']._serialized_options = b'\242?\013\242\001\010operator'
+  _globals['_EMERGENCYSTOP']._loaded_options = None
+  _globals['_EMERGENCYSTOP']._serialized_options = b'\242?\006\010\021\020\007(\004'
+  _globals['_EMERGENCYSTOP']._serialized_start=93
+  _globals['_EMERGENCYSTOP']._serialized_end=484
+  _globals['_EMERGENCYSTOP_REASON']._serialized_start=317
+  _globals['_EMERGENCYSTOP_REASON']._serialized_end=419
 # @@protoc_insertion_point(module_scope)

@@ -51,7 +51,9 @@ class EmergencyStop(_message.Message):
     IS_ENGAGED_FIELD_NUMBER: _builtins.int
     REASON_FIELD_NUMBER: _builtins.int
     capture_ns: _builtins.int
-    """ns since the Unix epoch, when the button was pressed"""
+    """Does not cross as a field: the link tells the capture time of every message.
+    ns since the Unix epoch, when the button was pressed
+    """
     sequence: _builtins.int
     """counts stops and releases"""
     is_engaged: _builtins.bool

@@ -22,17 +22,32 @@ _runtime_version.ValidateProtobufRuntimeVersion(
 _sym_db = _symbol_database.Default()
 
 
+from messages.proto.dccl import option_extensions_pb2 as dccl_dot_option__extensions__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)messages/proto/straitlink/heartbeat.proto\x12\nstraitlink\"\xef\x02\n\tHeartbeat\x12\x17\n\ncapture_ns\x18\x01 \x01(\x06H\x00\x88\x01\x01\x12\x15\n\x08sequence\x18\x02 \x01(\x07H\x01\x88\x01\x01\x12\x15\n\x08uptime_s\x18\x03 \x01(\x07H\x02\x88\x01\x01\x12-\n\x04mode\x18\x04 \x01(\x0e\x32\x1a.straitlink.Heartbeat.ModeH\x03\x88\x01\x01\x12\x1a\n\rbattery_ratio\x18\x05 \x01(\x02H\x04\x88\x01\x01\x12\x14\n\x07padding\x18\x06 \x01(\x0cH\x05\x88\x01\x01\"j\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x11\n\rMODE_STANDING\x10\x01\x12\x10\n\x0cMODE_WALKING\x10\x02\x12\x15\n\x11MODE_MANIPULATING\x10\x03\x12\x10\n\x0cMODE_STOPPED\x10\x04\x42\r\n\x0b_capture_nsB\x0b\n\t_sequenceB\x0b\n\t_uptime_sB\x07\n\x05_modeB\x10\n\x0e_battery_ratioB\n\n\x08_paddingb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n)messages/proto/straitlink/heartbeat.proto\x12\nstraitlink\x1a\x1c\x64\x63\x63l/option_extensions.proto\"\xbd\x04\n\tHeartbeat\x12\x1e\n\ncapture_ns\x18\x01 \x01(\x06\x42\x05\xa2?\x02\x10\x01H\x00\x88\x01\x01\x12=\n\x08sequence\x18\x02 \x01(\x07\x42&\xa2?#)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\xe0\xff\xff\xff\xef\x41\xa2\x01\x0esender\'s countH\x01\x88\x01\x01\x12Y\n\x08uptime_s\x18\x03 \x01(\x07\x42\x42\xa2??)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\xf8\xff\xff\x9f\x41\xa2\x01$four years; sender\'s monotonic clock\xf2\x01\x03*\x01sH\x02\x88\x01\x01\x12H\n\x04mode\x18\x04 \x01(\x0e\x32\x1a.straitlink.Heartbeat.ModeB\x19\xa2?\x16\xa2\x01\x13\x62\x65haviour executiveH\x03\x88\x01\x01\x12H\n\rbattery_ratio\x18\x05 \x01(\x02\x42,\xa2?))\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\x00\xf0?a{\x14\xaeG\xe1z\x84?\xa2\x01\x0bpower boardH\x04\x88\x01\x01\x12\x1b\n\x07padding\x18\x06 \x01(\x0c\x42\x05\xa2?\x02\x10\x01H\x05\x88\x01\x01\"j\n\x04Mode\x12\x14\n\x10MODE_UNSPECIFIED\x10\x00\x12\x11\n\rMODE_STANDING\x10\x01\x12\x10\n\x0cMODE_WALKING\x10\x02\x12\x15\n\x11MODE_MANIPULATING\x10\x03\x12\x10\n\x0cMODE_STOPPED\x10\x04:\t\xa2?\x06\x08\x01\x10\x0b(\x04\x42\r\n\x0b_capture_nsB\x0b\n\t_sequenceB\x0b\n\t_uptime_sB\x07\n\x05_modeB\x10\n\x0e_battery_ratioB\n\n\x08_paddingb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'messages.proto.straitlink.heartbeat_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_HEARTBEAT']._serialized_start=58
-  _globals['_HEARTBEAT']._serialized_end=425
-  _globals['_HEARTBEAT_MODE']._serialized_start=239
-  _globals['_HEARTBEAT_MODE']._serialized_end=345
+  _globals['_HEARTBEAT'].fields_by_name['capture_ns']._loaded_options = None
+  _globals['_HEARTBEAT'].fields_by_name['capture_ns']._serialized_options = b'\242?\002\020\001'
+  _globals['_HEARTBEAT'].fields_by_name['sequence']._loaded_options = None
+  _globals['_HEARTBEAT'].fields_by_name['sequence']._serialized_options = b'\242?#)\000\000\000\000\000\000\000\0001\000\000\340\377\377\377\357A\242\001\016sender\'s count'
+  _globals['_HEARTBEAT'].fields_by_name['uptime_s']._loaded_options = None
+  _globals['_HEARTBEAT'].fields_by_name['uptime_s']._serialized_options = b'\242??)\000\000\000\000\000\000\000\0001\000\000\000\370\377\377\237A\242\001$four years; sender\'s monotonic clock\362\001\003*\001s'
+  _globals['_HEARTBEAT'].fields_by_name['mode']._loaded_options = None
+  _globals['_HEARTBEAT'].fields_by_name['mode']._serialized_options = b'\242?\026\242\001\023behaviour executive'
+  _globals['_HEARTBEAT'].fields_by_name['battery_ratio']._loaded_options = None
+  _globals['_HEARTBEAT'].fields_by_name['battery_ratio']._serialized_options = b'\242?))\000\000\000\000\000\000\000\0001\000\000\000\000\000\000\360?a{\024\256G\341z\204?\242\001\013power board'
+  _globals['_HEARTBEAT'].fields_by_name['padding']._loaded_options = None
+  _globals['_HEARTBEAT'].fields_by_name['padding']._serialized_options = b'\242?\002\020\001'
+  _globals['_HEARTBEAT']._loaded_options = None
+  _globals['_HEARTBEAT']._serialized_options = b'\242?\006\010\001\020\013(\004'
+  _globals['_HEARTBEAT']._serialized_start=88
+  _globals['_HEARTBEAT']._serialized_end=661
+  _globals['_HEARTBEAT_MODE']._serialized_start=464
+  _globals['_HEARTBEAT_MODE']._serialized_end=570
 # @@protoc_insertion_point(module_scope)

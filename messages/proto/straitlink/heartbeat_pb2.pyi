@@ -52,7 +52,9 @@ class Heartbeat(_message.Message):
     BATTERY_RATIO_FIELD_NUMBER: _builtins.int
     PADDING_FIELD_NUMBER: _builtins.int
     capture_ns: _builtins.int
-    """ns since the Unix epoch; sender's clock"""
+    """Does not cross as a field: the link tells the capture time of every message.
+    ns since the Unix epoch; sender's clock
+    """
     sequence: _builtins.int
     """counts beats, modulo 2^32; sender"""
     uptime_s: _builtins.int
