@@ -12,6 +12,7 @@ from google.protobuf.message import Message
 from messages.dccl.options import as_descriptor, field_options
 from messages.payload.joints import FORMS, QUANTITIES, JointSample
 from messages.payload.topic_encoding import PayloadError
+from messages.payload.value_map import ValueMap, maps_of_forms
 
 _NS_PER_MS = 1_000_000
 _TURN_RAD = 2 * math.pi
@@ -79,25 +80,7 @@ class JointSchema:
         return math.remainder(value, _TURN_RAD)
 
 
-class JointMap:
-    """One of the bus's forms of joint states."""
-
-    def __init__(self, schema: JointSchema, bus_type: str) -> None:
-        self.bus_type = bus_type
-        self.description = schema.description
-        self._schema = schema
-        self._read, self._write = FORMS[bus_type]
-
-    def to_message(self, payload: bytes) -> Message:
-        """The bounded message."""
-        return self._schema.message_of(self._read(payload))
-
-    def to_payload(self, message: Message, capture_unix_ns: int | None) -> bytes:
-        """The joints by name, in the order of the schema."""
-        return self._write(self._schema.sample_of(message, capture_unix_ns))
-
-
-def joint_maps(message_type: type[Message]) -> tuple[JointMap, ...]:
+def joint_maps(message_type: type[Message]) -> tuple[ValueMap[JointSample], ...]:
     """Maps to and from joint states, if the message has groups of joints; else none."""
     positions = as_descriptor(message_type).fields_by_name.get("positions")
     if positions is None or positions.message_type is None or positions.is_repeated:
@@ -105,7 +88,7 @@ def joint_maps(message_type: type[Message]) -> tuple[JointMap, ...]:
     if any(field.type != FieldDescriptor.TYPE_DOUBLE for field in positions.message_type.fields):
         return ()
     schema = JointSchema(message_type)
-    return tuple(JointMap(schema, bus_type) for bus_type in FORMS)
+    return maps_of_forms(FORMS, schema.description, schema.message_of, schema.sample_of)
 
 
 def _fields_of(group: FieldDescriptor) -> Sequence[FieldDescriptor]:

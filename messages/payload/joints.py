@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from google.protobuf.message import DecodeError as ProtobufDecodeError
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
+from messages.payload.protobuf import parse, protobuf, stamp_ns, timestamp
+from messages.payload.ros import cdr, read_cdr, ros_class, ros_header, stamp_ns_of, write_cdr
 from messages.payload.topic_encoding import PayloadError
+from messages.payload.value_map import Forms
 
-CDR_JOINT_STATE = "application/cdr;sensor_msgs/msg/JointState"
-FOXGLOVE_JOINT_STATES = "application/protobuf;foxglove.JointStates"
 _ROS_TYPE = "sensor_msgs/msg/JointState"
-_NS_PER_S = 1_000_000_000
+CDR_JOINT_STATE = cdr(_ROS_TYPE)
+FOXGLOVE_JOINT_STATES = protobuf(JointStates)
 
 QUANTITIES = ("positions", "velocities", "efforts")
 
@@ -39,40 +36,6 @@ class JointSample:
     efforts: dict[str, float]
 
 
-@cache
-def ros_types() -> Typestore:
-    """ROS 2's message definitions."""
-    return get_typestore(Stores.LATEST)
-
-
-def read_cdr(payload: bytes, ros_type: str) -> Any:
-    """A ROS 2 message from its CDR. Raises PayloadError."""
-    try:
-        return ros_types().deserialize_cdr(payload, ros_type)
-    except Exception as error:  # readers are generated and raise what struct, numpy and codecs raise
-        raise PayloadError(f"a payload of {len(payload)} bytes is no CDR of {ros_type}: {error}") from error
-
-
-def write_cdr(message: object, ros_type: str) -> bytes:
-    """A ROS 2 message as CDR, little-endian. Raises PayloadError for a number that its field cannot hold."""
-    try:
-        return bytes(ros_types().serialize_cdr(message, ros_type))
-    except struct.error as error:
-        raise PayloadError(f"{ros_type} cannot hold what came: {error}") from error
-
-
-def ros_header(stamp_ns: int, frame_id: str = "") -> Any:
-    """std_msgs/Header."""
-    types = ros_types().types
-    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, _NS_PER_S))
-    return types["std_msgs/msg/Header"](time, frame_id)
-
-
-def stamp_ns_of(header: Any) -> int:
-    """A std_msgs/Header's time, ns since the Unix epoch."""
-    return int(header.stamp.sec) * _NS_PER_S + int(header.stamp.nanosec)
-
-
 def read_joint_state(payload: bytes) -> JointSample:
     """sensor_msgs/JointState: arrays are empty or as long as the names."""
     message = read_cdr(payload, _ROS_TYPE)
@@ -90,7 +53,7 @@ def read_joint_state(payload: bytes) -> JointSample:
 
 def write_joint_state(sample: JointSample) -> bytes:
     """sensor_msgs/JointState. A quantity that tells no joint is empty; NaN for one that it does not tell."""
-    message = ros_types().types[_ROS_TYPE](
+    message = ros_class(_ROS_TYPE)(
         ros_header(sample.stamp_ns),
         list(sample.names),
         *(_array(sample.names, getattr(sample, quantity)) for quantity in QUANTITIES),
@@ -100,25 +63,18 @@ def write_joint_state(sample: JointSample) -> bytes:
 
 def read_joint_states(payload: bytes) -> JointSample:
     """foxglove.JointStates."""
-    try:
-        message = JointStates.FromString(payload)
-    except ProtobufDecodeError as error:
-        raise PayloadError(
-            f"a payload of {len(payload)} bytes is no foxglove.JointStates: {error}"
-        ) from error
+    message = parse(JointStates, payload)
     names = _distinct([joint.name for joint in message.joints])
     told = [
         {joint.name: getattr(joint, field) for joint in message.joints if joint.HasField(field)}
         for field in ("position", "velocity", "effort")
     ]
-    stamp = message.timestamp
-    return JointSample(stamp.seconds * _NS_PER_S + stamp.nanos, names, *told)
+    return JointSample(stamp_ns(message.timestamp), names, *told)
 
 
 def write_joint_states(sample: JointSample) -> bytes:
     """foxglove.JointStates."""
-    message = JointStates()
-    message.timestamp.seconds, message.timestamp.nanos = divmod(sample.stamp_ns, _NS_PER_S)
+    message = JointStates(timestamp=timestamp(sample.stamp_ns))
     for name in sample.names:
         joint = message.joints.add(name=name)
         if name in sample.positions:
@@ -130,10 +86,7 @@ def write_joint_states(sample: JointSample) -> bytes:
     return message.SerializeToString()
 
 
-Reader = Callable[[bytes], JointSample]
-Writer = Callable[[JointSample], bytes]
-
-FORMS: dict[str, tuple[Reader, Writer]] = {
+FORMS: Forms[JointSample] = {
     CDR_JOINT_STATE: (read_joint_state, write_joint_state),
     FOXGLOVE_JOINT_STATES: (read_joint_states, write_joint_states),
 }
