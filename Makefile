@@ -33,13 +33,17 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
+# Every bench that needs no root, and out/bench/index.html of what they found.
 bench: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r bench/requirements.lock
 	$(BIN)/python -m bench
 
 # What a user would pick instead, over the same emulated link, in network namespaces: needs root and /dev/net/tun.
 bench-peers: $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r bench/peers/requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
+		-r bench/requirements.lock -r bench/peers/requirements.lock
 	$(BIN)/python -m bench.peers $(BENCH_ARGS)
+	$(BIN)/python -m bench.page
 
 # Regenerates messages/proto/**/*_pb2.py and .pyi; a test checks that they are current.
 proto: $(READY)

@@ -11,7 +11,9 @@ MODULES = (
     "bench.soak",
     "bench.codec",
     "bench.ingest",
+    "bench.live_mission",
     "bench.calibration",
+    "bench.page",
 )
 
 
