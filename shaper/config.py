@@ -23,6 +23,7 @@ from shaper.link_estimator import PresetBand
 from shaper.traffic_class import DEFAULT_CLASSES, Compression, Entries, Keep, TopicRule, TrafficClass
 from shaper.wire_type import by_digest
 
+JOURNAL_OFF = "off"
 _NS_PER_MS = 1_000_000
 _NS_PER_S = 1_000_000_000
 
@@ -90,6 +91,7 @@ class _LinkTable(_Table):
     accept: list[str] = ["**"]
     keys: list[str] = []
     open: bool = False
+    journal: Annotated[str, Field(min_length=1)] | None = None
 
     @field_validator("listen", "peer")
     @classmethod
@@ -148,6 +150,7 @@ class ShaperConfig:
 
     listen, peer: UDP (host, port) of this side and of the other. metrics: where Prometheus may ask.
     key_files: of link keys, the first to start with. open_link: no keys are wanted, loopback only.
+    journal: where reliable messages are on record; None for nowhere.
     resolved: the configuration with all defaults filled in, to be saved beside a result.
     """
 
@@ -161,6 +164,7 @@ class ShaperConfig:
     metrics: tuple[str, int] | None = None
     key_files: tuple[Path, ...] = ()
     open_link: bool = False
+    journal: Path | None = None
     resolved: dict[str, Any] = field(default_factory=dict)
 
 
@@ -311,6 +315,15 @@ def _check_protection(link: _LinkTable, path: Path) -> None:
             )
 
 
+def _journal(link: _LinkTable, path: Path) -> Path | None:
+    """Beside the configuration unless said otherwise. An open link has none: its peer may be anybody."""
+    if link.open and link.journal not in (None, JOURNAL_OFF):
+        raise ConfigError(f"{path}: link.journal = {link.journal!r}: expected none with link.open = true")
+    if link.open or not link.keys or link.journal == JOURNAL_OFF:
+        return None
+    return path.parent / (link.journal or f"{path.stem}.journal")
+
+
 def is_loopback(host: str) -> bool:
     """Whether an address never leaves this host."""
     if host == "localhost":
@@ -389,5 +402,6 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         metrics=None if table.metrics is None else parse_address(table.metrics.listen),
         key_files=tuple(path.parent / name for name in link.keys),
         open_link=link.open,
+        journal=_journal(link, path),
         resolved=table.model_dump(mode="json", by_alias=True),
     )

@@ -8,7 +8,7 @@ import json
 import logging
 import secrets
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from shaper.errors import ConfigError
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity
+from shaper.journal_file import JournalFile
 from shaper.key_file import read_key_file
 from shaper.link_end import Channel, LinkEnd, pump_link
 from shaper.link_estimator import PresetBands
@@ -44,6 +45,7 @@ from shaper.udp import Datagrams, UdpLink
 _NS_PER_S = 1_000_000_000
 _BUS_RETRY_S = 1.0
 _SILENCE_NS = 5 * _NS_PER_S  # after which a person should know
+_HAND_OVER_S = 0.005
 _GATHER_S = 0.005  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
@@ -69,17 +71,25 @@ class Daemon:
             config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES, now_ns
         )
         self._keys = read_keys(config)
-        self._identity = Identity(
-            secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES), bytes(TABLE_HASH_BYTES)
-        )
+        self._journal = None if config.journal is None else JournalFile(config.journal, secrets.token_bytes)
+        if self._journal is None:
+            epoch, memory = secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES)
+        else:
+            epoch, memory = self._journal.begin_life(), self._journal.memory
+        self._identity = Identity(epoch, memory, bytes(TABLE_HASH_BYTES))
+        self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
         settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
-        self.endpoint = Endpoint(settings, estimator, self._identity.epoch, now_ns, time.time_ns())
+        self.endpoint = Endpoint(
+            settings, estimator, self._identity.epoch, now_ns, time.time_ns(), self._journal
+        )
 
     async def run(self, stop: asyncio.Event) -> None:
         """Carry messages until `stop` is set. Raises BusError, UdpError or MetricsError."""
         self._loop = asyncio.get_running_loop()
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_trace)
+            if self._journal is not None:
+                stack.callback(self._journal.close)
             self._udp = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagrams)
             stack.callback(self._udp.close)
             self._link = LinkEnd(self.endpoint, self._make_channel(self._udp.peer))
@@ -193,6 +203,8 @@ class Daemon:
                 capture_unix_ns = time.time_ns() - (event.age_ns or 0)
             stamp = Stamp(capture_unix_ns, event.number)
             self._publish(event.key, event.payload, event.encoding, stamp.encode())
+            if event.on_handed_over is not None:
+                self._note_when_handed_over(event.on_handed_over)
         elif isinstance(event, PeerStarted):
             _log.info("the other side %s", "has started anew" if event.again else "is heard")
         elif isinstance(event, Receipt):
@@ -209,6 +221,17 @@ class Daemon:
             self._inlet.ask(event.key, event.budget_bytes)
         if self._trace is not None:
             self._trace.write(event_record(event, time.monotonic_ns()))
+
+    def _note_when_handed_over(self, on_handed_over: Callable[[], None]) -> None:
+        """Zenoh sends in a thread of its own: what it was given a moment ago is on the bus by now."""
+        if not self._delivered:
+            self._loop.call_later(_HAND_OVER_S, self._on_handed_over)
+        self._delivered.append(on_handed_over)
+
+    def _on_handed_over(self) -> None:
+        delivered, self._delivered = self._delivered, []
+        for on_handed_over in delivered:
+            on_handed_over()
 
     # The trace.
 

@@ -37,6 +37,7 @@ from shaper.frames import (
     SkipFrame,
 )
 from shaper.incoming import Incoming, Limits
+from shaper.journal import Journal
 from shaper.ledger import ReceivedLedger, SentLedger
 from shaper.ledger_exchange import LedgerExchange
 from shaper.link_estimator import LinkEstimator
@@ -45,6 +46,7 @@ from shaper.pacer import NS_PER_S
 from shaper.path import Content, Path
 from shaper.promise import PROMISES_NS
 from shaper.queues import Payload, TopicQueue
+from shaper.settled import Settled
 from shaper.timers import Due, Timers
 from shaper.traffic_class import TopicRule
 from shaper.wire_type import Encodings
@@ -91,11 +93,19 @@ class Endpoint:
     """Shapes one side's traffic onto the link and rebuilds the other side's from it.
 
     epoch: a random 16-bit number, new at each start, by which the peer notices a restart.
-    now_ns: a monotonic clock of this host; unix_ns: its wall clock at the same instant.
+    now_ns: a monotonic clock of this host; unix_ns: its wall clock at the same instant. journal: what is
+    remembered of reliable messages when the process is killed; of use only behind a secure channel, which
+    tells whether the peer is the one that the journal knows.
     """
 
     def __init__(
-        self, settings: EndpointSettings, estimator: LinkEstimator, epoch: int, now_ns: int, unix_ns: int
+        self,
+        settings: EndpointSettings,
+        estimator: LinkEstimator,
+        epoch: int,
+        now_ns: int,
+        unix_ns: int,
+        journal: Journal | None = None,
     ) -> None:
         limits = settings.limits
         self.counters = Counters()
@@ -107,8 +117,12 @@ class Endpoint:
         self._estimator = estimator
         self._unix_minus_monotonic_ns = unix_ns - now_ns
         self._outgoing = Outgoing(
-            settings.rules, limits.max_topics, limits.max_message_bytes, settings.guaranteed
+            settings.rules, limits.max_topics, limits.max_message_bytes, settings.guaranteed, journal
         )
+        self._journal = journal
+        self._settled: Settled | None = None
+        self._vouched_epoch: int | None = None
+        self._peer_memory = b"" if journal is None else journal.peer_memory
         self._ledgers = LedgerExchange(epoch)
         self._incoming: Incoming | None = None
         self._former: Incoming | None = None  # the life before, should it turn out to be the present one
@@ -117,6 +131,7 @@ class Endpoint:
         self._told_bps = estimator.rate_bps
         self._events: deque[Event] = deque()
         self._timers = Timers(now_ns)
+        self._outgoing.restore(now_ns)
 
     # What happens to an endpoint.
 
@@ -150,10 +165,23 @@ class Endpoint:
         except DecodeError:
             self.counters.malformed += 1
 
-    def on_peer_authenticated(self, epoch: int, now_ns: int) -> None:
-        """The channel vouches for the peer's present life: speak to it before it has said anything."""
-        if self._incoming is None or self._incoming.epoch != epoch:
-            self._meet_peer(epoch, now_ns)
+    def on_peer_authenticated(self, epoch: int, memory: bytes, now_ns: int) -> None:
+        """The channel vouches for the peer's present life: speak to it before it has said anything.
+
+        memory: what it remembers of reliable messages; the same as before if nothing was forgotten.
+        """
+        self._vouched_epoch = epoch
+        if self._incoming is None or (epoch, memory) != (self._incoming.epoch, self._peer_memory):
+            self._former = None  # the channel knows better which life is the present one
+            remembers = memory == self._peer_memory
+            if self._journal is not None and not remembers:
+                self._journal.meet(memory)
+            self._peer_memory = memory
+            if self._journal is not None and (self._settled is None or not remembers):
+                self._settled = Settled(self._journal, memory, self._settings.limits.max_topics)
+            if self._incoming is None and not remembers:
+                self._outgoing.on_peer_restarted()  # what was left of a former life of ours
+            self._meet_peer(epoch, now_ns, remembers=remembers)
 
     def on_channel_sent(self, datagram_bytes: int, now_ns: int) -> None:
         """The channel has sent something of its own: it takes its part of the link too."""
@@ -399,7 +427,9 @@ class Endpoint:
         incoming = self._incoming
         if incoming is None or header.epoch != incoming.epoch:
             # Whoever has just started says hello in every datagram until it is reported on.
-            says_hello = any(isinstance(frame, HelloFrame) for frame in frames)
+            says_hello = (
+                any(isinstance(frame, HelloFrame) for frame in frames) and self._vouched_epoch is None
+            )
             if incoming is not None and not (says_hello and self._may_be_alive(header.epoch, now_ns)):
                 self.counters.stale_epoch += 1
                 return
@@ -442,15 +472,15 @@ class Endpoint:
         """
         return epoch not in self._retired_epochs or self._timers.is_dark(now_ns)
 
-    def _meet_peer(self, epoch: int, now_ns: int) -> Incoming:
+    def _meet_peer(self, epoch: int, now_ns: int, *, remembers: bool = False) -> Incoming:
         """The peer's first datagram, or the first after it has started anew."""
         again = self._incoming is not None
-        former, self._former = self._former, self._incoming
+        former, self._former = self._former, self._incoming if self._vouched_epoch is None else None
         if self._incoming is not None:
             self._retired_epochs.append(self._incoming.epoch)
             if epoch in self._retired_epochs:
                 self._retired_epochs.remove(epoch)
-            self._outgoing.on_peer_restarted()
+            self._outgoing.on_peer_restarted(remembers=remembers)
             self._ledgers.on_peer_restarted()
             self._path.on_peer_restarted()
             self._estimator.on_peer_restarted(now_ns)
@@ -465,6 +495,7 @@ class Endpoint:
                 self.received_ledgers,
                 settings.encodings,
                 self._events.append,
+                self._settled,
             )
         self._timers.on_peer_met(now_ns)
         self._events.append(PeerStarted(epoch, again))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
@@ -17,6 +18,7 @@ class Delivered:
     capture_unix_ns: capture time on the peer's wall clock; None until the peer has told its clock.
     one_way_delay_ns: first departure to complete arrival; age_ns: capture to complete arrival. Both
     by the offset between the two clocks as estimated from the exchange; None before the first estimate.
+    on_handed_over: to be called when the local bus has the message, where that is journaled.
     """
 
     key: str
@@ -26,6 +28,7 @@ class Delivered:
     capture_unix_ns: int | None
     one_way_delay_ns: int | None
     age_ns: int | None
+    on_handed_over: Callable[[], None] | None = field(default=None, compare=False, repr=False)
 
 
 class ReceiptStage(StrEnum):
@@ -35,7 +38,9 @@ class ReceiptStage(StrEnum):
     SENT = "sent"
     DELIVERED = "delivered"
     EXPIRED = "expired"  # its time to live ended, here or on arrival: it was not delivered
-    LOST = "lost"  # an answer that was asked for: too little of it arrived, and nothing is repeated
+    # An answer that was asked for, of which too little arrived and nothing is repeated; or a message that
+    # had not left when this side was killed, or that the other side was handing over when it was.
+    LOST = "lost"
     SHED = "shed"  # it gave way in a full queue
     REFUSED = "refused"  # its topic's encoding cannot carry it
     UNREADABLE = "unreadable"  # it arrived, but the receiver cannot read its encoding

@@ -14,7 +14,7 @@ EPOCH_BITS = 16
 MESSAGE_NUMBER_BITS = 16
 ARRIVED_BITS = 64
 MAX_SHARES = 256  # source and repair together: the code works in GF(2^8)
-SENT_COUNTERS, RECEIVED_COUNTERS = 9, 6  # in a row of a ledger frame
+SENT_COUNTERS, RECEIVED_COUNTERS = 10, 6  # in a row of a ledger frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +122,7 @@ class Outcome(IntEnum):
     DELIVERED = 0
     EXPIRED = 1  # it came, but after its time to live
     UNREADABLE = 2  # it came in time, but the receiver cannot read its encoding
+    UNCERTAIN = 3  # the receiver was killed while it handed it over
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,12 +77,12 @@ class ReliableInbox:
     """Messages to be delivered once and in order; later ones wait for the earlier.
 
     As many may wait as a sender may have outstanding, and of all topics no more than the budget; a
-    message beyond that is dropped.
+    message beyond that is dropped. next_number: where a former life of ours has left off.
     """
 
-    def __init__(self, budget: Budget) -> None:
+    def __init__(self, budget: Budget, next_number: int | None = None) -> None:
         self._budget = budget
-        self._next: int | None = None
+        self._next = next_number
         self._waiting: dict[int, Arrived] = {}
 
     def arrived(self, message: Arrived, back: int) -> tuple[list[Arrived], list[int]]:
@@ -107,6 +107,15 @@ class ReliableInbox:
         never = self._begin(number)
         ready, missed = self._advance(number)
         return ready, never + missed
+
+    def settled(self, low_bits: int) -> int | None:
+        """The full number of a message that is not waited for any more; None for any other."""
+        number = self._expand(low_bits)
+        return number if self._next is not None and number < self._next else None
+
+    def full_number(self, low_bits: int) -> int:
+        """A message's number, of which the wire has the low bits."""
+        return self._expand(low_bits)
 
     def _begin(self, number: int) -> list[int]:
         """Wait for this number if nothing has come before; the numbers that never will.

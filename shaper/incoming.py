@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeVar
 
 from messages.payload import PayloadError
@@ -32,6 +33,7 @@ from shaper.path import Content, PeerClock
 from shaper.promise import PROMISES_NS
 from shaper.reader import reader_of
 from shaper.serial_number import ReceivedWindow, expand
+from shaper.settled import Settled, SettledTopic
 from shaper.trouble import TroubleTeller
 from shaper.wire_type import Encodings
 
@@ -71,7 +73,10 @@ class _SentReceipts:
 
 
 class Incoming:
-    """One life of the peer: everything here is forgotten when its epoch changes."""
+    """One life of the peer: everything here is forgotten when its epoch changes.
+
+    settled: what has become of its reliable messages, which is not.
+    """
 
     def __init__(
         self,
@@ -81,7 +86,9 @@ class Incoming:
         ledgers: dict[str, ReceivedLedger],
         encodings: Encodings,
         tell: Callable[[Event], None],
+        settled: Settled | None = None,
     ) -> None:
+        self._settled = settled
         self.epoch = epoch
         self.clock = PeerClock()
         self.received = 0
@@ -172,8 +179,10 @@ class Incoming:
             return self._on_state(topic, message, now_ns)
         if frame.reliable:
             inbox = self._inbox(topic, ReliableInbox)
+            if self._settled is not None and self._answer_again(self._settled, inbox, topic, frame):
+                return []
             ready, missed = inbox.arrived(message, frame.back)
-            return self._deliver_reliable(frame.topic_id, ready, missed, now_ns)
+            return self._deliver_reliable(frame.topic_id, inbox, ready, missed, now_ns)
         number = self._inbox(topic, PlainInbox).arrived(frame.number, frame.latest)
         if number is None:
             return []
@@ -184,8 +193,13 @@ class Incoming:
         topic = self._topic_of(frame)
         if topic is None:
             return []
-        ready, missed = self._inbox(topic, ReliableInbox).skip(frame.number)
-        return self._deliver_reliable(frame.topic_id, ready, missed, now_ns)
+        inbox = self._inbox(topic, ReliableInbox)
+        ready, missed = inbox.skip(frame.number)
+        delivered = self._deliver_reliable(frame.topic_id, inbox, ready, missed, now_ns)
+        if self._settled is not None:  # our receipts may have died with one of the two processes
+            known = self._settled.topic(topic.name.key).known()
+            self._receipts.extend((frame.topic_id, number, outcome) for number, outcome in known)
+        return delivered
 
     def _reassemble(self, frame: MessageFrame, sent_us: int, now_ns: int) -> Reassembled | None:
         key, size = (frame.topic_id, frame.number), frame.total_bytes
@@ -203,8 +217,11 @@ class Incoming:
         return _only_delivered(self._deliver(replace(message, payload=state), message.number, now_ns))
 
     def _deliver_reliable(
-        self, topic_id: int, messages: list[Arrived], missed: list[int], now_ns: int
+        self, topic_id: int, inbox: ReliableInbox, messages: list[Arrived], missed: list[int], now_ns: int
     ) -> list[Delivered]:
+        if self._settled is not None:
+            settled = self._settled.topic(self._topics[topic_id].name.key)
+            return self._deliver_on_record(settled, topic_id, inbox, messages, missed, now_ns)
         delivered = []
         self._receipts.extend((topic_id, number, Outcome.EXPIRED) for number in missed)
         for message in messages:
@@ -213,6 +230,45 @@ class Incoming:
             self._receipts.append((message.topic_id, message.number, outcome))
             delivered += _only_delivered(each)
         return delivered
+
+    def _deliver_on_record(
+        self,
+        settled: SettledTopic,
+        topic_id: int,
+        inbox: ReliableInbox,
+        messages: list[Arrived],
+        missed: list[int],
+        now_ns: int,
+    ) -> list[Delivered]:
+        """As `_deliver_reliable`, in the order of the numbers, each on record before it goes to the bus."""
+        due: dict[int, Arrived | None] = {inbox.full_number(number): None for number in missed}
+        due |= {inbox.full_number(message.number): message for message in messages}
+        delivered = []
+        for number, message in sorted(due.items()):
+            each = Outcome.EXPIRED if message is None else self._deliver(message, message.number, now_ns)
+            if isinstance(each, Outcome):
+                self._settle(settled, topic_id, number, each)
+                continue
+            settled.hand_over(number)
+            done = partial(self._settle, settled, topic_id, number, Outcome.DELIVERED)
+            delivered.append(replace(each, on_handed_over=done))
+        return delivered
+
+    def _settle(self, settled: SettledTopic, topic_id: int, number: int, outcome: Outcome) -> None:
+        settled.settle(number, outcome)
+        self._receipts.append((topic_id, number & 0xFFFF, outcome))
+
+    def _answer_again(
+        self, all_settled: Settled, inbox: ReliableInbox, topic: InTopic, frame: MessageFrame
+    ) -> bool:
+        """Whether a message was settled before: its sender has started anew, or missed our receipt."""
+        number = inbox.settled(frame.number)
+        if number is None:
+            return False
+        outcome = all_settled.topic(topic.name.key).outcome(number)
+        if outcome is not None:
+            self._receipts.append((frame.topic_id, frame.number, outcome))
+        return True
 
     def _deliver(self, message: Arrived, number: int, now_ns: int) -> Delivered | Outcome:
         """The message for the bus, or what else becomes of it: it is too old, or cannot be read."""
@@ -256,7 +312,8 @@ class Incoming:
         if kind is PlainInbox:
             return PlainInbox(topic.ledger)
         if kind is ReliableInbox:
-            return ReliableInbox(self._waiting_budget)
+            next_number = self._settled.topic(topic.name.key).next_number if self._settled else None
+            return ReliableInbox(self._waiting_budget, next_number)
         return StateInbox(self._states_budget)
 
     def _topic_of(self, frame: MessageFrame | SkipFrame) -> InTopic | None:

@@ -14,8 +14,10 @@ class SentLedger:
     """Counters of one topic where it enters the link.
 
     Every offered message ends in exactly one of decimated, superseded, expired, overflow (shed by a
-    full queue), refused (its topic's encoding cannot carry it) or sent, or waits:
-    offered == decimated + superseded + expired + overflow + refused + sent + queued.
+    full queue), refused (its topic's encoding cannot carry it), lost_at_restart or sent, or waits:
+    offered == decimated + superseded + expired + overflow + refused + lost_at_restart + sent + queued.
+    lost_at_restart: reliable messages that had not begun to leave when this side was killed, or that the
+    other side was handing over when it was killed.
     A reliable message counts as sent when the receiver has said that it delivered it, others when their
     last byte has left. sent_bytes: message bytes that left, as packed, of messages given up on the way
     too, without repetitions and parity; repeated_bytes: both of these. altered: messages that the
@@ -31,12 +33,13 @@ class SentLedger:
     sent_bytes: int = 0
     repeated_bytes: int = 0
     refused: int = 0
+    lost_at_restart: int = 0
     altered: int = 0
 
     @property
     def queued(self) -> int:
         settled = self.decimated + self.superseded + self.expired + self.overflow + self.refused
-        return self.offered - settled - self.sent
+        return self.offered - settled - self.lost_at_restart - self.sent
 
     def as_dict(self) -> dict[str, int]:
         return asdict(self)
@@ -53,6 +56,7 @@ class SentLedger:
             self.sent_bytes,
             self.repeated_bytes,
             self.refused,
+            self.lost_at_restart,
         )
 
 

@@ -83,7 +83,7 @@ class LinkEnd:
         peer = self.channel.peer
         if peer is not None and peer != self._peer:
             self._peer = peer
-            self.endpoint.on_peer_authenticated(peer.epoch, now_ns)
+            self.endpoint.on_peer_authenticated(peer.epoch, peer.memory, now_ns)
 
     def _on_control(self, payload: bytes, now_ns: int) -> None:
         """What the peer's channel says; an empty payload only proves that it is there."""
@@ -95,7 +95,10 @@ def pump_link(
     send: Callable[[bytes, Address], None],
     handle: Callable[[Event], None],
 ) -> int:
-    """Send what may leave, hand over what has happened; returns when to call `on_timer` and again."""
+    """Send what may leave, hand over what has happened; returns when to call `on_timer` and again.
+
+    handle: calls `on_handed_over` of what it has delivered, at once or when it is sure.
+    """
     while (outgoing := link.next_datagram(now_ns)) is not None:
         send(*outgoing)
     while (event := link.next_event()) is not None:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 from shaper.datagram import SHARE_OVERHEAD_BYTES, append_message, append_skip, message_overhead_bytes
 from shaper.demand import Demand, PullQueue
-from shaper.events import Event
+from shaper.events import Event, Receipt, ReceiptStage
 from shaper.frames import HEADER_BYTES, MAX_SHARES, MessageFrame, Outcome, SkipFrame, TopicName
+from shaper.journal import Journal, OwnMessage
+from shaper.journaled_queue import JournaledQueue
 from shaper.key_expression import is_key
 from shaper.ledger import SentLedger
 from shaper.parity import encode_shares, repair_shares
@@ -53,7 +55,9 @@ class Outgoing:
         max_topics: int,
         max_message_bytes: int,
         guaranteed: Mapping[int, float] | None = None,
+        journal: Journal | None = None,
     ) -> None:
+        self._journal = journal
         self.scheduler = Scheduler(guaranteed)
         self.demand = Demand()
         self.events: deque[Event] = deque()
@@ -94,6 +98,22 @@ class Outgoing:
             return False
         self.scheduler.activate(queue)
         return True
+
+    def restore(self, now_ns: int) -> None:
+        """Take up what the journal holds of a former process's messages."""
+        if self._journal is None:
+            return
+        by_key: dict[str, list[OwnMessage]] = {key: [] for key in self._journal.next_numbers()}
+        for message in self._journal.own_messages():
+            by_key.setdefault(message.key, []).append(message)
+        for key, messages in by_key.items():
+            queue = self._open(key)
+            if isinstance(queue, JournaledQueue):
+                queue.restore(messages, self._journal.next_numbers().get(key, 0), now_ns)
+                continue
+            for message in messages:  # the rules are others now
+                self._journal.settle(message.serial)
+                self.events.append(Receipt(key, message.tag, ReceiptStage.LOST))
 
     def missed(self, key: str, count: int) -> None:
         """Count messages of a topic that newer ones replaced on the way here."""
@@ -140,11 +160,17 @@ class Outgoing:
 
     # What the peer says.
 
-    def on_peer_restarted(self) -> None:
-        """It knows no names any more, and has forgotten what it had received."""
+    def on_peer_restarted(self, *, remembers: bool = False) -> None:
+        """It knows no names any more, and has forgotten what it had received.
+
+        remembers: not so what it had received of journaled topics.
+        """
         self._confirmed.clear()
         for queue in self.queues():
-            queue.on_peer_restarted()
+            if remembers and isinstance(queue, JournaledQueue):
+                queue.on_peer_resumed()
+            else:
+                queue.on_peer_restarted()
 
     def on_known(self, topic_ids: tuple[int, ...]) -> None:
         """The peer can tell these topics by their ids alone."""
@@ -222,6 +248,8 @@ class Outgoing:
             return PullQueue(key, rule, wake, tell)
         if rule.traffic_class.keep is Keep.CHANGES:
             return ChangesQueue(key, rule, wake)
+        if rule.traffic_class.reliable and self._journal is not None:
+            return JournaledQueue(key, rule, wake, tell, self._journal)
         if rule.traffic_class.reliable:
             return ReliableQueue(key, rule, wake, tell)
         return TopicQueue(key, rule, wake, tell)

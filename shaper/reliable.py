@@ -154,6 +154,8 @@ class ReliableQueue(TopicQueue):
             return
         if outcome is Outcome.EXPIRED:
             self.expired(tag)
+        elif outcome is Outcome.UNCERTAIN:
+            self.lost(tag)
         else:
             self.ledger.sent += 1
             self._tell(Receipt(self.key, tag, _STAGES[outcome]))
@@ -168,8 +170,11 @@ class ReliableQueue(TopicQueue):
         for tag in self._abandoned.values():
             self.expired(tag)  # nobody is left who could say otherwise
         self._abandoned.clear()
-        self.skip_due = False
         self._close_gaps()
+        self.on_peer_resumed()
+
+    def on_peer_resumed(self) -> None:
+        """The peer has started anew and remembers: everything leaves again under its old number."""
         if self.departing is not None:
             self.departing.offset = 0
         self._again = deque(
@@ -177,8 +182,19 @@ class ReliableQueue(TopicQueue):
             for number, departure in self.outstanding.items()
             if departure is not self.departing
         )
+        self.skip_due = bool(self._abandoned)
         if not self.empty:
             self.wake(self)
+
+    def abandon(self, number: int, tag: int) -> None:
+        """Repeat a message no more, but wait for the receiver's word on it."""
+        self._abandoned[number] = tag
+        self.skip()
+
+    def lost(self, tag: int) -> None:
+        """A process was killed that had a message in its hands."""
+        self.ledger.lost_at_restart += 1
+        self._tell(Receipt(self.key, tag, ReceiptStage.LOST))
 
     def _close_gaps(self) -> None:
         """Number what is outstanding anew if some between were settled: the new peer would wait for them."""
@@ -203,8 +219,7 @@ class ReliableQueue(TopicQueue):
         if self.departing is departure:
             self.departing = None
         if departure.begun:
-            self._abandoned[departure.number] = departure.tag
-            self.skip()
+            self.abandon(departure.number, departure.tag)
         else:
             self.expired(departure.tag)
 

@@ -13,6 +13,7 @@ from shaper.endpoint import Endpoint, EndpointSettings
 from shaper.events import Delivered, Event, Receipt
 from shaper.handshake import Identity, Side
 from shaper.incoming import Limits
+from shaper.journal import Journal, MemoryJournal
 from shaper.link_end import LinkEnd, pump_link
 from shaper.link_estimator import PresetBands
 from shaper.link_key import LinkKey, make_link_key
@@ -38,6 +39,13 @@ class Host:
     sent: list[tuple[int, bytes, Address]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     wakeup_ns: int = 0
+    journal: Journal | None = None
+    hands_over: bool = True  # else it is killed before the bus has what is delivered
+
+    def handle(self, event: Event) -> None:
+        self.events.append(event)
+        if isinstance(event, Delivered) and event.on_handed_over is not None and self.hands_over:
+            event.on_handed_over()
 
     @property
     def channel(self) -> SecureChannel:
@@ -69,6 +77,7 @@ class SecuredPair:
         delay_ns: int = 50 * MS,
         seed: int = 1,
         limits: Limits | None = None,
+        journals: bool = False,
     ) -> None:
         self.now_ns = 0
         self.delay_ns = delay_ns
@@ -82,6 +91,9 @@ class SecuredPair:
             operator_side, operator_keys, 7000 * S, operator_unix_offset_ns, address=ADDRESSES["operator"]
         )
         self.hosts = (self.robot, self.operator)
+        if journals:
+            for host in self.hosts:
+                host.journal = MemoryJournal(self.rng.randbytes(8))
         for host in self.hosts:
             self.start(host)
 
@@ -90,10 +102,13 @@ class SecuredPair:
         now_ns = self.now_ns + host.offset_ns
         unix_ns = UNIX_NS + self.now_ns + host.unix_offset_ns
         peer = self.other(host).address
-        identity = Identity(self.rng.getrandbits(16), self.rng.randbytes(8), bytes(8))
+        if host.journal is None:
+            identity = Identity(self.rng.getrandbits(16), self.rng.randbytes(8), bytes(8))
+        else:
+            identity = Identity(host.journal.begin_life(), host.journal.memory, bytes(8))
         channel = SecureChannel(host.side, host.keys, identity, peer, self.rng.randbytes, now_ns, unix_ns)
         settings = EndpointSettings(RULES, limits=self.limits, protection_bytes=channel.overhead_bytes)
-        endpoint = Endpoint(settings, PresetBands((FAST,)), identity.epoch, now_ns, unix_ns)
+        endpoint = Endpoint(settings, PresetBands((FAST,)), identity.epoch, now_ns, unix_ns, host.journal)
         host.link = LinkEnd(endpoint, channel)
         host.events.clear()
         host.wakeup_ns = self.now_ns
@@ -112,7 +127,7 @@ class SecuredPair:
             if not self.loses(data, to):
                 self.underway.append((self.now_ns + self.delay_ns, data, host.address, to))
 
-        wakeup_ns = pump_link(host.link, self.now_ns + host.offset_ns, send, host.events.append)
+        wakeup_ns = pump_link(host.link, self.now_ns + host.offset_ns, send, host.handle)
         host.wakeup_ns = wakeup_ns - host.offset_ns
         assert host.wakeup_ns > self.now_ns, "a drained link asks to be woken now: it would spin"
 

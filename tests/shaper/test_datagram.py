@@ -100,7 +100,7 @@ def test_numbers_and_stamps_go_by_their_low_bits() -> None:
         ("00", "past the end"),
         ("00" + "0000" + "ffff03", "do not fit"),
         ("06" + "0000" + "ffff03", "do not fit"),
-        ("06" + "0000" + "01" + "00" + "0500" + "03", "outcome 3 is unknown"),
+        ("06" + "0000" + "01" + "00" + "0500" + "04", "outcome 4 is unknown"),
         ("07" + "01" + "05", "past the end"),
         ("03" + "00" * 13 + "00" + "09" + "00" * 9, "longer than 64"),
         ("81" + "01" + "0100" + "00" + "01" + "61", "needs no shares"),
@@ -166,7 +166,7 @@ GOLDEN_DATAGRAMS: dict[str, tuple[Header, list[Frame]]] = {
     "skip, named": (HEADER, [SkipFrame(2, 302, TopicName("a", "", 500))]),
     "ledger, sent half": (
         HEADER,
-        [LedgerFrame(0xBEEF, True, ((3, (600, 0, 12, 1, 0, 587, 93_920, 160, 0)),))],
+        [LedgerFrame(0xBEEF, True, ((3, (600, 0, 12, 1, 0, 585, 93_920, 160, 0, 2)),))],
     ),
     "ledger, received half": (
         HEADER,
