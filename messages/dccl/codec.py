@@ -73,12 +73,12 @@ class Codec(Generic[M]):
         self.schema = load_schema(as_descriptor(message_type), field_codecs or {}, models, strict)
         self.schema_hash = self.schema.hash()
         self._is_strict = strict
-        self._wire_hash = self.schema_hash if peer_hash is None else peer_hash
-        self._policy = Policy(strict, _treatments(out_of_range, self.schema.head, self.schema.body))
+        self.wire_hash = self.schema_hash if peer_hash is None else peer_hash
+        self.policy = Policy(strict, _treatments(out_of_range, self.schema.head, self.schema.body))
         self._encode, self.encoder_source = compile_encoder(
-            self.schema, self._policy, self._wire_hash, self._restart
+            self.schema, self.policy, self.wire_hash, self._restart
         )
-        self._decode, self.decoder_source = compile_decoder(self.schema, message_type, self._wire_hash)
+        self._decode, self.decoder_source = compile_decoder(self.schema, message_type, self.wire_hash)
         self._decode_head: Decoder | None = None
         self._batch: Batch | None = None
         self._cipher = None if insecure_passphrase is None else body_cipher(insecure_passphrase)
@@ -134,7 +134,7 @@ class Codec(Generic[M]):
         """The message's head fields only; what follows the head is neither needed nor read."""
         if self._decode_head is None:
             head = replace(self.schema, body=Message(self.schema.descriptor, ()))
-            self._decode_head = compile_decoder(head, self.message_type, self._wire_hash)[0]
+            self._decode_head = compile_decoder(head, self.message_type, self.wire_hash)[0]
         return self._decode_with(self._decode_head, data[: self.schema.head_bytes], now_ns)[0]
 
     def encode_many(self, columns: Columns) -> Batch.Rows:
@@ -147,7 +147,7 @@ class Codec(Generic[M]):
 
     def _batch_codec(self) -> Batch:
         if self._batch is None:
-            self._batch = Batch(self.schema, self._policy)
+            self._batch = Batch(self.schema, self.policy)
         return self._batch
 
     def _restart(self) -> None:
@@ -155,14 +155,7 @@ class Codec(Generic[M]):
             use.begin()
 
     def _encode_into(self, message: M, deviations: Deviations) -> bytes:
-        if message.__class__ is not self.message_type:
-            given = message.DESCRIPTOR.full_name if isinstance(message, ProtobufMessage) else repr(message)
-            raise EncodeError(
-                f"{given} is not a message of the class that this codec has: {self.schema.name}"
-            )
-        if not message.IsInitialized():
-            missing = ", ".join(message.FindInitializationErrors())  # type: ignore[attr-defined]
-            raise EncodeError(f"{self.schema.name} misses required fields: {missing}")
+        self.check(message)
         self._restart()
         try:
             data = self._encode(message, deviations)
@@ -174,6 +167,17 @@ class Codec(Generic[M]):
             return data
         head = data[: self.schema.head_bytes]
         return head + self._cipher(head, data[len(head) :])
+
+    def check(self, message: M) -> None:
+        """EncodeError for a message of another class, or without all of its required fields."""
+        if message.__class__ is not self.message_type:
+            given = message.DESCRIPTOR.full_name if isinstance(message, ProtobufMessage) else repr(message)
+            raise EncodeError(
+                f"{given} is not a message of the class that this codec has: {self.schema.name}"
+            )
+        if not message.IsInitialized():
+            missing = ", ".join(message.FindInitializationErrors())  # type: ignore[attr-defined]
+            raise EncodeError(f"{self.schema.name} misses required fields: {missing}")
 
     def _decode_with(self, decoder: Decoder, data: bytes, now_ns: int | None) -> tuple[M, int]:
         if self._cipher is not None:

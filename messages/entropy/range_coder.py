@@ -53,6 +53,14 @@ class RangeEncoder:
             digits = int.from_bytes(b"".join(d.to_bytes(2, "big") for d in self._digits), "big")
         return digits << width | value, _DIGIT_BITS * len(self._digits) + width
 
+    def finish_bytes(self) -> bytes:
+        """The code as the fewest bytes, after which zeros are read: for a code that ends a datagram."""
+        value, width = _last_digits(self._low, self._range, ends_in_zeros=True)
+        if value >> width:
+            value &= (1 << width) - 1
+            self._carry()
+        return b"".join(d.to_bytes(2, "big") for d in self._digits) + value.to_bytes(width // 8, "big")
+
     def _carry(self) -> None:
         self._low &= _MASK
         at = len(self._digits) - 1
@@ -113,13 +121,23 @@ class RangeDecoder:
         """How many bits an encoder has written for what was decoded."""
         return self._taken + _last_digits(self._low, self._range)[1]
 
+    def is_finished(self, size: int) -> bool:
+        """Whether `finish_bytes` of what was decoded gives just the bytes that were, `size` of them."""
+        value, width = _last_digits(self._low, self._range, ends_in_zeros=True)
+        is_exact = self._low + self._code == value << _WINDOW_BITS - width
+        return is_exact and 8 * size == self._taken + width
 
-def _last_digits(low: int, extent: int) -> tuple[int, int]:
-    """The fewest bits that leave no doubt of an interval in the window, and how many they are."""
-    width = max(0, _WINDOW_BITS + 1 - extent.bit_length())
+
+def _last_digits(low: int, extent: int, ends_in_zeros: bool = False) -> tuple[int, int]:
+    """The fewest bits that leave no doubt of an interval in the window, and how many they are.
+
+    ends_in_zeros: only zeros follow, and the bits are whole bytes; else anything may follow.
+    """
+    width = 0 if ends_in_zeros else max(0, _WINDOW_BITS + 1 - extent.bit_length())
     while True:
         shift = _WINDOW_BITS - width
         value = -(-low >> shift)
-        if value + 1 << shift <= low + extent:
+        end = value << shift if ends_in_zeros else (value + 1 << shift) - 1
+        if end < low + extent:
             return value, width
-        width += 1
+        width += 8 if ends_in_zeros else 1

@@ -93,14 +93,18 @@ class Orientation:
 
         return encode
 
+    def of_digits(self, largest: int, *steps: int) -> Any:
+        """The field's value for digits; DecodeError where they are no unit quaternion."""
+        components = self.steps.quaternion(largest, *steps)
+        if components is None:
+            raise DecodeError(f"{self.name}: {steps} on the wire are no quaternion")
+        return self.value(components)
+
     def decode(self, bits: int, available: int, now_ns: int | None) -> tuple[Any, int]:
         """The quaternion at the low end of `bits`."""
         code = (bits & (1 << self.max_bits) - 1) - self.offset
         if code < 0:
             return self.value(None), self.max_bits
-        components = None
-        if code < self.steps.count:
-            components = self.steps.quaternion(code % 4, *split(code // 4, self.steps.side, 3))
-        if components is None:
+        if code >= self.steps.count:
             raise DecodeError(f"{self.name}: {code} on the wire is no quaternion")
-        return self.value(components), self.max_bits
+        return self.of_digits(code % 4, *split(code // 4, self.steps.side, 3)), self.max_bits

@@ -1,0 +1,311 @@
+"""Differences against acknowledged messages: nothing stalls after a loss, nothing comes out wrong."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from google.protobuf.message import Message
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from messages.dccl import Codec, DecodeError, EncodeError, SchemaError
+from messages.delta import DeltaDecoder, DeltaEncoder
+from tests.messages.dccl.declare import Declared, declare, number
+
+NOW_NS = 1_700_000_000 * 10**9
+QUATERNION = {"codec": "straitlink.quaternion.1", "resolution": 0.002, "min_repeat": 4, "max_repeat": 4}
+
+
+def joints_type() -> type[Message]:
+    return declare(
+        Declared("t", "double", "required", {"codec": "straitlink.time.1", "max": 60, "resolution": 0.001}),
+        Declared("q", "double", "repeated", QUATERNION),
+        number("j", -4, 4, "double", "repeated", resolution=0.001, min_repeat=12, max_repeat=12),
+        Declared("mode", "enum", "required", enum=[("A", 3), ("B", 1), ("C", 7)]),
+        codec_group="straitlink.1",
+    )
+
+
+JOINTS = Codec(joints_type())
+PLAIN = Codec(
+    declare(number("x", -10, 10, precision=3), number("y", 0, 100, "uint32", "optional"), version=3)
+)
+
+
+def joints_at(n: int) -> Message:
+    turn = n / 15
+    return JOINTS.message_type(
+        t=1_700_000_000 + n / 10,
+        q=[math.sin(turn / 2), 0, 0, math.cos(turn / 2)],
+        j=[1.5 * math.sin(n / 60 + k) for k in range(12)],
+        mode=3 if n < 30 else 7,
+    )
+
+
+def through_the_codec(codec: Codec[Any], message: Message) -> Message:
+    return codec.decode(codec.encode(message), NOW_NS)
+
+
+def exchange(count: int, lost: set[int], round_trip: int = 4) -> tuple[list[int], int]:
+    """Sizes of a stream whose acknowledgements come `round_trip` messages later, and how many arrived."""
+    encoder, decoder = DeltaEncoder(JOINTS), DeltaDecoder(JOINTS)
+    sizes = []
+    for n in range(count):
+        if n >= round_trip and n - round_trip not in lost:
+            encoder.on_acknowledged(n - round_trip)
+        data = encoder.encode(joints_at(n), n)
+        sizes.append(len(data))
+        if n not in lost:
+            assert decoder.decode(data, n, NOW_NS) == through_the_codec(JOINTS, joints_at(n))
+    assert decoder.counters.decoded == count - len(lost)
+    return sizes, decoder.counters.decoded
+
+
+# WHAT ARRIVES DECODES
+
+
+@settings(max_examples=30)
+@given(st.sets(st.integers(0, 39)), st.integers(1, 20))
+def test_whatever_is_lost_all_that_arrives_decodes_as_it_comes(lost: set[int], round_trip: int) -> None:
+    exchange(40, lost, round_trip)
+
+
+def test_a_motion_costs_less_than_half_of_what_it_costs_alone() -> None:
+    sizes, _ = exchange(60, set(), round_trip=1)
+    assert max(sizes) <= DeltaEncoder(JOINTS).max_size
+    assert sum(sizes[20:]) / 40 < 0.55 * sizes[0]
+
+
+def test_what_stands_still_costs_next_to_nothing() -> None:
+    encoder = DeltaEncoder(JOINTS)
+    for n in range(60):
+        data = encoder.encode(joints_at(5), n)
+        encoder.on_acknowledged(n)
+    assert len(data) <= 5
+
+
+@settings(max_examples=40)
+@given(st.permutations(range(6)), st.data())
+def test_messages_that_overtake_each_other_decode_if_their_references_are_there(
+    order: list[int], data: st.DataObject
+) -> None:
+    encoder, decoder = DeltaEncoder(JOINTS), DeltaDecoder(JOINTS)
+    for n in range(10):
+        decoder.decode(encoder.encode(joints_at(n), n), n, NOW_NS)
+        encoder.on_acknowledged(n)
+    sent = {n: encoder.encode(joints_at(n), n) for n in range(10, 16)}
+    for n in order:
+        assert decoder.decode(sent[10 + n], 10 + n, NOW_NS) == through_the_codec(JOINTS, joints_at(10 + n))
+    again = data.draw(st.integers(10, 15))
+    assert decoder.decode(sent[again], again, NOW_NS) == through_the_codec(JOINTS, joints_at(again))
+
+
+def test_a_schema_of_plain_dccl_works_as_well() -> None:
+    encoder, decoder = DeltaEncoder(PLAIN), DeltaDecoder(PLAIN)
+    for n, (x, y) in enumerate([(0, None), (0.001, 0), (9.9994, 100), (-10, None), (-10, 7)]):
+        sent = PLAIN.message_type(x=x, y=y)
+        assert decoder.decode(encoder.encode(sent, n), n) == through_the_codec(PLAIN, sent)
+        encoder.on_acknowledged(n)
+
+
+@st.composite
+def shapes(draw: st.DrawFn) -> list[Message]:
+    """Messages whose parts come and go."""
+    made = []
+    for _ in range(draw(st.integers(2, 6))):
+        message = SHAPES.message_type(ok=draw(st.booleans()))
+        message.v.extend(draw(st.lists(st.integers(-3, 10**6), max_size=4)))
+        if draw(st.booleans()):
+            message.inner.a = draw(st.floats(0, 1))
+            if draw(st.booleans()):
+                message.inner.b = draw(st.integers(-(2**62), 2**62))
+        which = draw(st.sampled_from(["", "c", "d"]))
+        if which:
+            setattr(message, which, draw(st.integers(0, 9)))
+        if draw(st.booleans()):
+            message.q.extend(draw(st.sampled_from([[1, 0, 0, 0], [0, 0.6, -0.8, 0], [0.5, 0.5, 0.5, 0.5]])))
+        made.append(message)
+    return made
+
+
+SHAPES = Codec(
+    declare(
+        Declared("ok", "bool"),
+        number("v", -3, 10**6, "int32", "repeated", max_repeat=4),
+        Declared(
+            "inner",
+            "message",
+            "optional",
+            message=[number("a", 0, 1, resolution=0.25), number("b", -(2**62), 2**62, "int64", "optional")],
+        ),
+        Declared("c", "uint32", "optional", {"min": 0, "max": 9}, oneof="which"),
+        Declared("d", "uint32", "optional", {"min": 0, "max": 9}, oneof="which"),
+        Declared("q", "double", "repeated", {**QUATERNION, "min_repeat": 0}),
+        Declared("kind", "string", "required", {"codec": "dccl.static", "static_value": "arm"}),
+        codec_group="straitlink.1",
+    )
+)
+
+
+@settings(max_examples=60)
+@given(shapes())
+def test_parts_that_come_and_go_come_back_as_they_were(sent: list[Message]) -> None:
+    encoder, decoder = DeltaEncoder(SHAPES), DeltaDecoder(SHAPES)
+    for n, message in enumerate(sent):
+        message.kind = "arm"
+        assert decoder.decode(encoder.encode(message, n), n) == through_the_codec(SHAPES, message)
+        encoder.on_acknowledged(n)
+
+
+# WHAT CANNOT BE KNOWN IS DROPPED, AND NOTHING ELSE
+
+
+def started(count: int) -> tuple[DeltaEncoder[Message], DeltaDecoder[Message]]:
+    encoder, decoder = DeltaEncoder(JOINTS), DeltaDecoder(JOINTS)
+    for n in range(count):
+        decoder.decode(encoder.encode(joints_at(n), n), n, NOW_NS)
+        encoder.on_acknowledged(n)
+    return encoder, decoder
+
+
+def test_a_message_without_its_reference_is_dropped_and_counted() -> None:
+    encoder, _ = started(10)
+    newcomer = DeltaDecoder(JOINTS)
+    with pytest.raises(DecodeError, match="needs 9, which is not here"):
+        newcomer.decode(encoder.encode(joints_at(10), 10), 10, NOW_NS)
+    assert newcomer.counters.reference_missing == 1
+
+
+def test_a_receiver_that_started_anew_is_in_business_with_the_next_message_once_that_is_known() -> None:
+    encoder, _ = started(10)
+    newcomer = DeltaDecoder(JOINTS)
+    encoder.reset()
+    assert newcomer.decode(encoder.encode(joints_at(10), 10), 10, NOW_NS) == through_the_codec(
+        JOINTS, joints_at(10)
+    )
+
+
+def test_a_receiver_that_fails_unnoticed_is_helped_within_256_messages() -> None:
+    encoder, _ = started(10)
+    newcomer = DeltaDecoder(JOINTS)
+    came = 0
+    for n in range(10, 300):
+        data = encoder.encode(joints_at(n), n)
+        encoder.on_acknowledged(n)  # whoever acknowledges does not know that it could not be decoded
+        try:
+            newcomer.decode(data, n, NOW_NS)
+            came += 1
+        except DecodeError:
+            pass
+    assert came >= 40
+    assert newcomer.counters.mismatched == 0
+
+
+@settings(max_examples=30)
+@given(st.integers(1, 8), st.integers(0, 2**32))
+def test_a_sender_that_started_anew_unnoticed_is_never_taken_for_the_former(back: int, seed: int) -> None:
+    """The receiver holds messages under the numbers that the new sender refers to; 24 bits tell."""
+    encoder, decoder = DeltaEncoder(JOINTS, check_bits=24), DeltaDecoder(JOINTS, check_bits=24)
+    former = DeltaEncoder(JOINTS, check_bits=24)
+    for n in range(10):
+        decoder.decode(former.encode(joints_at(100 + seed % 1000 + n), n), n, NOW_NS)
+        encoder.encode(joints_at(n), n)
+        encoder.on_acknowledged(n)
+    data = encoder.encode(joints_at(9 + back), 9 + back)
+    with pytest.raises(DecodeError, match="check"):
+        decoder.decode(data, 9 + back, NOW_NS)
+    assert decoder.counters.mismatched == 1
+
+
+def test_the_check_lets_one_mismatch_in_256_through_at_most() -> None:
+    encoder, decoder = started(10)
+    data = encoder.encode(joints_at(10), 10)
+    passed = 0
+    for i in range(len(data)):
+        for bit in range(8):
+            damaged = bytearray(data)
+            damaged[i] ^= 1 << bit
+            try:
+                decoder.decode(bytes(damaged), 10, NOW_NS)
+                passed += 1
+            except DecodeError:
+                pass
+    assert passed <= 3  # of some 200 single flipped bits
+
+
+@given(st.binary(max_size=80), st.integers(-5, 100))
+def test_any_bytes_decode_or_raise_decode_error(data: bytes, number_: int) -> None:
+    _, decoder = started(3)
+    try:
+        decoder.decode(data, number_, NOW_NS)
+    except DecodeError:
+        assert decoder.counters.mismatched + decoder.counters.reference_missing <= 1
+
+
+def test_neither_end_keeps_more_than_a_window_of_messages() -> None:
+    encoder, decoder = started(400)
+    assert len(encoder._sent) <= 72 and len(encoder._held) <= 72
+    assert len(decoder._samples) <= 144
+
+
+# STRICTNESS
+
+
+def test_a_value_out_of_range_is_a_decision_as_in_the_codec() -> None:
+    wild = joints_at(0)
+    wild.j[3] = math.nan
+    with pytest.raises(EncodeError, match=r"j.* = nan"):
+        DeltaEncoder(JOINTS).encode(wild, 0)
+    wild.j[3] = 5
+    lenient = Codec(joints_type(), out_of_range="clamp")
+    sent = lenient.message_type.FromString(wild.SerializeToString())
+    encoded = DeltaEncoder(lenient).encode_checked(sent, 0)
+    assert [d.what for d in encoded.deviations] == ["clamped to its nearest bound"]
+    assert DeltaDecoder(lenient).decode(encoded.data, 0, NOW_NS).j[3] == 4
+
+
+def test_a_message_that_was_refused_leaves_no_trace() -> None:
+    encoder, decoder = started(5)
+    wild = joints_at(5)
+    wild.j[0] = 99
+    with pytest.raises(EncodeError):
+        encoder.encode(wild, 5)
+    assert decoder.decode(encoder.encode(joints_at(5), 5), 5, NOW_NS) == through_the_codec(
+        JOINTS, joints_at(5)
+    )
+
+
+@pytest.mark.parametrize(
+    ("field", "what"),
+    [
+        (Declared("s", "string", "required", {"max_length": 5}), "s is no number"),
+        (Declared("m", "message", "repeated", {"max_repeat": 2}, [number("x", 0, 1)]), "m is no number"),
+    ],
+)
+def test_a_field_without_a_lane_is_named(field: Declared, what: str) -> None:
+    with pytest.raises(SchemaError, match=what):
+        DeltaEncoder(Codec(declare(field)))
+
+
+# THE BYTES
+
+
+def test_the_bytes_are_these() -> None:
+    """Changing them is a decision: both ends must agree to the bit."""
+    encoder = DeltaEncoder(JOINTS)
+    seen = []
+    for n in range(12):
+        seen.append(encoder.encode(joints_at(n), n).hex())
+        if n != 6:
+            encoder.on_acknowledged(n)
+    assert [seen[0], seen[1], seen[8], seen[11]] == GOLDEN
+
+
+GOLDEN: list[str] = [
+    "037ac31a9dc033c3bf1f56548d17976ef7d731d8c6641c6f36bde181",
+    "1f4f377762a0915d9a6da38bfc866034b05b",
+    "1e78189624006301334b770d8f",
+    "1ad1a3774f6c68f41312a05a8c",
+]
