@@ -14,7 +14,7 @@ from perception_server.view_codec import CodecId, DecodeError, pack_jpeg, unpack
 MAX_PIXELS = 2048 * 2048  # of what crosses: a composite, its base and a chip as bytes are 38 MB
 MAX_SOURCE_PIXELS = 40_000_000  # of a camera on this host
 MAX_FILE_BYTES = 16_000_000
-_PACKED = tuple(bytes([codec]) for codec in (CodecId.IMAGE_JPEG, CodecId.IMAGE_FILE))
+_PACKED = tuple(bytes([codec]) for codec in CodecId if codec >> 4 == CodecId.IMAGE_JPEG >> 4)
 _MAX_JPEG_SCANS = 32  # an honest progressive file has about ten; each costs a pass over the picture
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers (ITU-T T.81, table B.1)
 _JPEG_BARE = frozenset((0x01, *range(0xD0, 0xD8)))  # markers without a length
@@ -58,8 +58,7 @@ def decode_picture(data: bytes, max_pixels: int = MAX_PIXELS) -> Picture:
 
     Raises DecodeError for anything else, before any memory is taken for more than max_pixels.
     """
-    if data[:1] in _PACKED:
-        data = unpack_jpeg(data)
+    data = plain_file(data)
     width, height = picture_size(data)
     if width * height > max_pixels:
         raise DecodeError(f"a picture of {width}x{height} has more than {max_pixels} pixels")
@@ -87,6 +86,11 @@ def encode_picture(picture: Picture, form: ImageRequest.Format.ValueType, qualit
         raise RequestError(f"format = {ImageRequest.Format.Name(form)}: cannot hold this picture")
     file = data.tobytes()
     return pack_jpeg(file) if form == ImageRequest.FORMAT_PACKED_JPEG else file
+
+
+def plain_file(data: bytes) -> bytes:
+    """The JPEG, PNG or WebP file of an encoded picture, pixels as they were sent. Raises DecodeError."""
+    return unpack_jpeg(data) if data[:1] in _PACKED else data
 
 
 def picture_size(data: bytes) -> tuple[int, int]:

@@ -10,7 +10,8 @@ def user_errors() -> tuple[type[Exception], ...]:
     from messages.urdf import UrdfError
     from netem_scripts.band import ProfileError
     from netem_scripts.udp_proxy import ProxyError
-    from perception_server.overview import ViewError
+    from perception_server.errors import PerceptionError
+    from perception_server.view_codec import ViewCodecError
     from shaper.bus import BusError
     from shaper.errors import ShaperError
     from shaper.metrics import MetricsError
@@ -19,6 +20,7 @@ def user_errors() -> tuple[type[Exception], ...]:
     from straitlink.record import RecordError
     from straitlink.replay import ReplayError
     from straitlink.report import ReportError
+    from straitlink.request_client import RequestFailedError
 
     return (
         ShaperError,
@@ -30,9 +32,11 @@ def user_errors() -> tuple[type[Exception], ...]:
         MetricsError,
         ProfileError,
         ProxyError,
-        ViewError,
+        PerceptionError,
+        ViewCodecError,
         DemoError,
         ReplayError,
         RecordError,
         ReportError,
+        RequestFailedError,
     )

@@ -1,7 +1,8 @@
-"""`straitlink perception`: the robot's pictures, made small enough to cross."""
+"""`straitlink perception` and `request`: views of what the robot's sensors see, and asking for them."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,24 +12,49 @@ app = typer.Typer()
 
 @app.command()
 def perception(
-    source: Annotated[
-        list[str], typer.Argument(help="Keys of camera topics, such as robot/head_camera/image.")
-    ],
-    connect: Annotated[list[str], typer.Option("--connect", "-e", help="Zenoh endpoint of the robot's bus.")],
-    period: Annotated[float, typer.Option(min=0.02, max=3600, help="Seconds between overviews.")] = 1.0,
-    width: Annotated[int, typer.Option(help="Pixels.")] = 256,
-    height: Annotated[int, typer.Option(help="Pixels.")] = 136,
-    quality: Annotated[int, typer.Option(help="JPEG quality, 1 to 100.")] = 50,
+    config: Annotated[Path, typer.Argument(help="TOML file; examples/perception.toml shows one.")],
 ) -> None:
-    """Publish a small overview of each camera topic (A/image as A/overview), until Ctrl-C."""
-    from perception_server.overview import Overview
-    from shaper.bus import BusSettings
+    """Keep what the robot's sensors saw and serve views of it, until SIGTERM or Ctrl-C."""
     from straitlink.commands.recordings import stop_on_signals
-    from straitlink.overviews import OverviewSettings, publish_overviews
+    from straitlink.perception_config import load_perception_config
+    from straitlink.perception_host import serve_views
 
-    settings = OverviewSettings(
-        BusSettings(connect=connect), source, Overview(width, height, quality), period, stop_on_signals()
-    )
-    for key, refused in publish_overviews(settings).items():
-        if refused:
-            typer.echo(f"perception: {refused} messages on {key} were no picture", err=True)
+    settings = load_perception_config(config)
+
+    def say_open() -> None:
+        typer.echo(
+            f"perception: open, {len(settings.inputs)} inputs, {len(settings.streams)} views", err=True
+        )
+
+    for what, count in serve_views(settings, stop_on_signals(), say_open).items():
+        typer.echo(f"perception: {what}: {count}", err=True)
+
+
+@app.command()
+def request(
+    what: Annotated[
+        list[str],
+        typer.Argument(
+            help="A preset (head_low, height_map_scene, ...), or image or view; then field=value pairs: "
+            "quality=40 source=head chips=300,200,160,120."
+        ),
+    ],
+    connect: Annotated[list[str], typer.Option("--connect", "-e", help="Zenoh endpoint of this host's bus.")],
+    save: Annotated[
+        list[Path] | None, typer.Option(help=".png, .jpg, .npz or .ply; may be given several times.")
+    ] = None,
+    prefix: Annotated[str, typer.Option(help="Of the server's view keys.")] = "robot/view",
+    timeout: Annotated[float, typer.Option(min=0.1, max=3600, help="Seconds.")] = 60.0,
+) -> None:
+    """Request one view, from the robot's bus or over the link from the operator's, and save it."""
+    from shaper.bus import BusSettings
+    from straitlink.request_client import RequestSettings, request_view
+    from straitlink.request_words import request_of
+    from straitlink.saved_view import describe, save_view
+
+    settings = RequestSettings(BusSettings(connect=connect), prefix=prefix, timeout_s=timeout)
+    reply, took_s = request_view(request_of(what), settings, lambda line: typer.echo(line, err=True))
+    typer.echo(f"{describe(reply)}, after {took_s:.2f} s")
+    for path in save or []:
+        save_view(reply, path)
+        typer.echo(f"saved: {path}")

@@ -51,11 +51,13 @@ def free_addresses() -> Addresses:
 def write_configs(
     folder: Path, addresses: Addresses, profile: Profile, log_topics: tuple[LogTopic, ...] | None
 ) -> None:
-    """Write robot.toml, operator.toml and a key of their own for this once.
+    """Write robot.toml, operator.toml, perception.toml and a key of their own for this once.
 
     log_topics: of a foreign log, None for the synthetic one.
     """
-    robot, operator = _example("robot"), _example("operator")
+    robot, operator, perception = _example("robot"), _example("operator"), _example("perception")
+    perception["zenoh"]["connect"] = [addresses.robot_bus]
+    (folder / "perception.toml").write_text(tomlkit.dumps(perception))
     _move(robot, addresses.robot_shaper, addresses.link_robot, addresses.robot_bus)
     _move(operator, addresses.operator_shaper, addresses.link_operator, addresses.operator_bus)
     _set_bands(robot, profile, "down")

@@ -44,7 +44,6 @@ _PARTS = (
     "robot-replay",
     "operator-replay",
 )
-_CAMERAS = ("robot/head_camera/image", "robot/chest_camera/image")
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +166,7 @@ def _start(
     recorder = children.start("record", [*record, *(arg for c in carried for arg in ("--config", c))])
     children.wait_until("the start of the recorder", partial(_is_open, recorder))
     if settings.log is None:
-        children.start("perception", ["perception", *_CAMERAS, "--connect", addresses.robot_bus])
+        children.start("perception", ["perception", str(out / "perception.toml")])
     passes = ["--loop", "0"]
     down = ["replay", str(log), "--connect", addresses.robot_bus, *passes, "--exclude", _OPERATOR_KEYS]
     down += [arg for topic in unusable for arg in ("--exclude", topic)]

@@ -1,0 +1,48 @@
+"""The perception server as a process: its configuration, a bus, the service, until it is stopped."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from messages.proto.straitlink.view_pb2 import Image
+from perception_server.dispatch import Reply
+from perception_server.image_file import base_as_compressed_image
+from perception_server.sensors import SensorHistory
+from perception_server.service import PerceptionService, ServiceSettings
+from perception_server.view_codec import DecodeError
+from shaper.bus import open_bus
+from straitlink.perception_config import PerceptionConfig
+
+_FOXGLOVE_IMAGE = "application/protobuf;foxglove.CompressedImage"
+
+
+def serve_views(
+    config: PerceptionConfig, stop: threading.Event, on_open: Callable[[], None] = lambda: None
+) -> dict[str, int]:
+    """Serve until `stop` is set; what was counted on the way. Raises BusError."""
+    sensors = SensorHistory({each.key: each.name for each in config.inputs}, config.limits)
+    settings = ServiceSettings(
+        inputs=[each.key for each in config.inputs],
+        streams=config.streams,
+        prefix=config.server.prefix,
+        view_requests=config.server.view_requests,
+        image_requests=config.server.image_requests,
+        convert={key: as_foxglove for key in config.foxglove_keys},
+    )
+    session = open_bus(config.bus)
+    try:
+        service = PerceptionService(session, settings, sensors)
+        on_open()
+        stop.wait()
+        service.close()
+    finally:
+        session.close()
+    return dict(sensors.counters)
+
+
+def as_foxglove(reply: Reply) -> tuple[bytes, str]:
+    """An Image's base picture as foxglove.CompressedImage: what any viewer on the operator's bus shows."""
+    if not isinstance(reply, Image):
+        raise DecodeError("only an Image becomes a CompressedImage")
+    return base_as_compressed_image(reply).SerializeToString(), _FOXGLOVE_IMAGE
