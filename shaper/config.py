@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from messages.payload import TopicEncoding
+from messages.payload import StreamEncoding, TopicEncoding
 from shaper.bus import BusSettings
 from shaper.encodings import EncodingTable, build_encoding
 from shaper.endpoint import EndpointSettings
@@ -299,6 +299,12 @@ def _check_topic(
         known = ", ".join(encodings) or "there is no such table"
         raise ConfigError(
             f"{where}.encoding = {json.dumps(topic.encoding)}: expected one of [encodings]: {known}"
+        )
+    is_stream = isinstance(encodings[topic.encoding], StreamEncoding)
+    if is_stream and (traffic_class.keep is not Keep.LATEST or topic.pull):
+        raise ConfigError(
+            f'{where}.encoding = {json.dumps(topic.encoding)}: expected a class with keep = "latest" and no'
+            f" pull, since encodings.{topic.encoding}.delta is true"
         )
 
 

@@ -28,13 +28,15 @@ class EncodingTable(BaseModel):
     out_of_range: Literal["raise", "clamp"] = "raise"
     assume: str = ""
     publish: str = ""
+    delta: bool = False
 
     @model_validator(mode="after")
     def _is_one_kind(self) -> EncodingTable:
         if (self.dictionary is None) == (self.proto is None and self.message is None):
             raise ValueError("expected either proto and message (or message alone), or dictionary")
-        if self.dictionary is not None and (self.assume or self.publish or self.out_of_range != "raise"):
-            raise ValueError("out_of_range, assume and publish go with a message, not with a dictionary")
+        extras = self.assume or self.publish or self.delta or self.out_of_range != "raise"
+        if self.dictionary is not None and extras:
+            raise ValueError("out_of_range, assume, publish and delta go with a message, not a dictionary")
         return self
 
 
@@ -61,10 +63,11 @@ def _dictionary(path: Path) -> TopicEncoding:
 
 def _bounded(table: EncodingTable, folder: Path) -> TopicEncoding:
     from messages.payload.bounded import BoundedEncoding
+    from messages.payload.delta import DeltaEncoding
     from messages.payload.joint_maps import joint_maps
 
     message_type = _message_type(table, folder)
-    return BoundedEncoding(
+    return (DeltaEncoding if table.delta else BoundedEncoding)(
         message_type,
         joint_maps(message_type),
         out_of_range=table.out_of_range,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from messages.payload import Payload, PayloadError
 from shaper.frames import MESSAGE_NUMBER_BITS, TopicName
 from shaper.ledger import ReceivedLedger
 from shaper.reader import Reader
@@ -32,6 +33,7 @@ class Arrived:
     """A whole message, with its capture and first send stamp in the peer's clock (us).
 
     topic_id: of the peer's epoch; number: low bits, as on the wire. packed_bytes: as it crossed.
+    read: its payload for the bus, or why it has none, where that had to be known at once.
     """
 
     topic_id: int
@@ -40,6 +42,7 @@ class Arrived:
     packed_bytes: int
     capture_us: int
     first_sent_us: int
+    read: Payload | PayloadError | None = None
 
 
 class PlainInbox:
@@ -50,15 +53,21 @@ class PlainInbox:
         self._highest = -1
         self._window = ReceivedWindow(span=_WINDOW)
 
+    def full_number(self, low_bits: int) -> int:
+        """A message's number, of which the wire has the low bits."""
+        if self._highest < 0:
+            return low_bits
+        # A heartbeat wraps its 16 bits in two hours, and a blackout may last as long. Replays end at
+        # the packet numbers, so what is older than the window here is a number come round again.
+        return expand_above(low_bits, MESSAGE_NUMBER_BITS, self._highest - _WINDOW)
+
     def arrived(self, low_bits: int, latest: bool) -> int | None:
         """The message's full number; None if it has come before or is overtaken: not to be delivered."""
         if self._highest < 0:  # what came before the first that we hear of is not ours to count
             self._window.accept(low_bits)
             self._highest = low_bits
             return low_bits
-        # A heartbeat wraps its 16 bits in two hours, and a blackout may last as long. Replays end at
-        # the packet numbers, so what is older than the window here is a number come round again.
-        number = expand_above(low_bits, MESSAGE_NUMBER_BITS, self._highest - _WINDOW)
+        number = self.full_number(low_bits)
         overtaken = number < self._highest
         if not self._window.accept(number):
             return None

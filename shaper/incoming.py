@@ -31,7 +31,7 @@ from shaper.key_expression import is_key, matches
 from shaper.ledger import ReceivedLedger
 from shaper.path import Content, PeerClock
 from shaper.promise import PROMISES_NS
-from shaper.reader import reader_of
+from shaper.reader import Streams, reader_of
 from shaper.serial_number import ReceivedWindow, expand
 from shaper.settled import Settled, SettledTopic
 from shaper.trouble import TroubleTeller
@@ -102,6 +102,7 @@ class Incoming:
         self._accept = accept
         self._ledgers = ledgers
         self._encodings = encodings
+        self._streams: Streams = {}
         self._tell = tell
         self._window = ReceivedWindow()
         self._old_in_a_row = 0
@@ -178,12 +179,15 @@ class Incoming:
         if frame.reliable and frame.latest:
             return self._on_state(topic, message, now_ns)
         if frame.reliable:
-            inbox = self._inbox(topic, ReliableInbox)
-            if self._settled is not None and self._answer_again(self._settled, inbox, topic, frame):
+            waiting = self._inbox(topic, ReliableInbox)
+            if self._settled is not None and self._answer_again(self._settled, waiting, topic, frame):
                 return []
-            ready, missed = inbox.arrived(message, frame.back)
-            return self._deliver_reliable(frame.topic_id, inbox, ready, missed, now_ns)
-        number = self._inbox(topic, PlainInbox).arrived(frame.number, frame.latest)
+            ready, missed = waiting.arrived(message, frame.back)
+            return self._deliver_reliable(frame.topic_id, waiting, ready, missed, now_ns)
+        inbox = self._inbox(topic, PlainInbox)
+        if topic.reader.stream is not None:  # also of what is too old to be delivered: others refer to it
+            message = self._read_in_stream(topic, message, inbox.full_number(frame.number))
+        number = inbox.arrived(frame.number, frame.latest)
         if number is None:
             return []
         return _only_delivered(self._deliver(message, number, now_ns))
@@ -278,10 +282,13 @@ class Incoming:
         if ttl_ns and age_ns is not None and age_ns > ttl_ns:
             topic.ledger.expired += 1
             return Outcome.EXPIRED
-        unix = self._unix_minus_stamp_ns
-        capture_unix_ns = None if unix is None else message.capture_us * 1000 + unix
+        capture_unix_ns = self._capture_unix_ns(message)
         try:
-            payload = topic.reader.read(message.payload, self._limits.max_message_bytes, capture_unix_ns)
+            if isinstance(message.read, PayloadError):
+                raise message.read
+            payload = message.read or topic.reader.read(
+                message.payload, self._limits.max_message_bytes, capture_unix_ns
+            )
         except PayloadError as error:
             topic.ledger.unreadable += 1
             trouble = topic.trouble.note("unreadable", str(error), now_ns)
@@ -298,6 +305,15 @@ class Incoming:
             one_way_delay_ns=self.clock.delay_ns(message.first_sent_us, now_ns),
             age_ns=age_ns,
         )
+
+    def _capture_unix_ns(self, message: Arrived) -> int | None:
+        unix = self._unix_minus_stamp_ns
+        return None if unix is None else message.capture_us * 1000 + unix
+
+    def _read_in_stream(self, topic: InTopic, message: Arrived, number: int) -> Arrived:
+        max_bytes, capture_unix_ns = self._limits.max_message_bytes, self._capture_unix_ns(message)
+        read = topic.reader.read_in_stream(message.payload, number, max_bytes, capture_unix_ns)
+        return replace(message, read=read)
 
     def _inbox(self, topic: InTopic, kind: type[AnyInbox]) -> AnyInbox:
         """The inbox of a key: message numbers count per key, whatever the encoding."""
@@ -340,7 +356,7 @@ class Incoming:
         ledger = self._ledgers.get(name.key, ReceivedLedger())
         if accepted and len(self._ledgers) < self._limits.max_topics:  # lives of the peer have no limit
             self._ledgers[name.key] = ledger
-        reader = reader_of(name.encoding, self._encodings)
+        reader = reader_of(name.key, name.encoding, self._encodings, self._streams)
         topic = InTopic(name, reader, TroubleTeller(name.key), ledger, accepted)
         self._topics[topic_id] = topic
         return topic

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from messages.payload import StreamEncoding
 from shaper.datagram import SHARE_OVERHEAD_BYTES, append_message, append_skip, message_overhead_bytes
 from shaper.demand import Demand, PullQueue
 from shaper.events import Event, Receipt, ReceiptStage
@@ -20,6 +21,7 @@ from shaper.queues import Departure, Payload, Piece, TopicQueue
 from shaper.reliable import ReliableQueue, SentSkip
 from shaper.scheduler import Scheduler
 from shaper.shared_state import ChangesQueue
+from shaper.stream_queue import StreamQueue
 from shaper.traffic_class import Keep, TopicRule, first_match
 from shaper.wire_type import wire_type
 
@@ -252,6 +254,8 @@ class Outgoing:
             return JournaledQueue(key, rule, wake, tell, self._journal)
         if rule.traffic_class.reliable:
             return ReliableQueue(key, rule, wake, tell)
+        if isinstance(rule.encoding, StreamEncoding):
+            return StreamQueue(key, rule, rule.encoding, wake, tell)
         return TopicQueue(key, rule, wake, tell)
 
     def _too_late(self, queue: TopicQueue, piece: Piece, opportunity: Opportunity) -> bool:

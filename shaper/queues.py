@@ -189,11 +189,15 @@ class TopicQueue:
     def _pack(self, message: Waiting, now_ns: int) -> tuple[bytes, bool]:
         if self.rule.encoding is None:
             return pack(bytes(message.payload), self.rule.compression)
-        encoded: Encoded = self.rule.encoding.encode(BusPayload(bytes(message.payload), message.encoding))
+        encoded = self._encode(message)
         if encoded.altered:
             self.ledger.altered += 1
             self.trouble("altered", encoded.altered, now_ns)
         return encoded.data, False
+
+    def _encode(self, message: Waiting) -> Encoded:
+        assert self.rule.encoding is not None  # the caller has looked
+        return self.rule.encoding.encode(BusPayload(bytes(message.payload), message.encoding))
 
     def refused(self, tag: int) -> None:
         """The topic's encoding cannot carry a message."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Literal, Protocol
 
 from google.protobuf.message import DecodeError as ProtobufDecodeError
 from google.protobuf.message import Message
 
-from messages.dccl import Codec, DcclError
+from messages.dccl import Codec, DcclError, Deviation
 from messages.payload.topic_encoding import Encoded, Payload, PayloadError
 
 PROTOBUF = "application/protobuf"
@@ -86,13 +86,12 @@ class BoundedEncoding:
 
     def encode(self, payload: Payload) -> Encoded:
         """The payload as a bounded message."""
-        message = self._map_of(payload.type).to_message(payload.data)
+        message = self.to_message(payload)
         try:
             encoded = self.codec.encode_checked(message)
         except DcclError as error:
             raise PayloadError(str(error)) from error
-        altered = "; ".join(f"{d.path} = {d.value} {d.what}" for d in encoded.deviations[:3])
-        return Encoded(encoded.data, altered)
+        return Encoded(encoded.data, self.altered(encoded.deviations))
 
     def decode(self, data: bytes, bus_type: str, max_bytes: int, capture_unix_ns: int | None) -> Payload:
         """The payload in the type that this side's bus expects."""
@@ -100,6 +99,20 @@ class BoundedEncoding:
             message = self.codec.decode(data, capture_unix_ns)
         except DcclError as error:
             raise PayloadError(str(error)) from error
+        return self.to_payload(message, bus_type, max_bytes, capture_unix_ns)
+
+    def to_message(self, payload: Payload) -> Message:
+        """The bounded message that says what a payload does. Raises PayloadError."""
+        return self._map_of(payload.type).to_message(payload.data)
+
+    def altered(self, deviations: Sequence[Deviation]) -> str:
+        """What in a message is not as its publisher had it."""
+        return "; ".join(f"{d.path} = {d.value} {d.what}" for d in deviations[:3])
+
+    def to_payload(
+        self, message: Message, bus_type: str, max_bytes: int, capture_unix_ns: int | None
+    ) -> Payload:
+        """The payload that says what a bounded message does. Raises PayloadError."""
         wanted = self._known(self._publish or bus_type)
         payload = self._maps[wanted].to_payload(message, capture_unix_ns)
         if len(payload) > max_bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 DIGEST_BYTES = 8
 
@@ -49,6 +49,42 @@ class TopicEncoding(Protocol):
         bus_type: what the publisher's payload was. max_bytes: what the result may take.
         capture_unix_ns: when it was captured, on the clock of the publisher's host; None if not known yet.
         """
+
+
+class StreamWriter(Protocol):
+    """One topic's sender: codes each message against those that the receiver is known to hold."""
+
+    def encode(self, payload: Payload, number: int) -> Encoded:
+        """The payload's bytes as message `number` of the topic. Raises PayloadError and nothing else.
+
+        A number is coded again where its message was replaced by a newer one before it left.
+        """
+
+    def on_arrived(self, number: int) -> None:
+        """The receiver has been handed this message."""
+
+    def on_receiver_restarted(self) -> None:
+        """The receiver has forgotten everything."""
+
+
+class StreamReader(Protocol):
+    """One topic's receiver. Is handed every message that arrives, also those that come too late to matter."""
+
+    def decode(
+        self, data: bytes, number: int, bus_type: str, max_bytes: int, capture_unix_ns: int | None
+    ) -> Payload:
+        """As TopicEncoding.decode. number: the sender's, up to a constant."""
+
+
+@runtime_checkable
+class StreamEncoding(TopicEncoding, Protocol):
+    """An encoding that holds state for each topic: its messages refer to earlier ones that have arrived."""
+
+    def writer(self) -> StreamWriter:
+        """For one topic, on the side that sends."""
+
+    def reader(self) -> StreamReader:
+        """For one topic of one life of the peer, on the side that receives."""
 
 
 def digest_of(encoding: TopicEncoding) -> str:
