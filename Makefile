@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-guest lint bench bench-peers proto clean
+.PHONY: demo test test-guest lint bench bench-peers proto messages-page clean
 
 # The environment: pinned versions from requirements.lock, then the project itself, editable.
 $(READY): requirements.lock pyproject.toml
@@ -48,6 +48,10 @@ bench-peers: $(READY)
 # Regenerates messages/proto/**/*_pb2.py and .pyi; a test checks that they are current.
 proto: $(READY)
 	$(BIN)/python tools/generate_protobuf.py
+
+# Rewrites docs/messages.md from the catalogue; a test checks that it is current.
+messages-page: $(READY)
+	$(BIN)/python -m tools.generate_messages_page
 
 clean:
 	rm -rf $(VENV) out build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

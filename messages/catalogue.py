@@ -26,7 +26,7 @@ from messages.proto.straitlink.view_pb2 import ViewRequest
 from messages.proto.straitlink.wrench_pb2 import Wrench
 
 Direction = Literal["down", "up"]
-TrafficClassName = Literal["heartbeat", "command", "state", "perception", "bulk"]
+TrafficClassName = Literal["emergency", "heartbeat", "command", "plan", "state", "perception", "bulk"]
 
 
 @dataclass(frozen=True, slots=True)

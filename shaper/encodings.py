@@ -64,12 +64,12 @@ def _dictionary(path: Path) -> TopicEncoding:
 def _bounded(table: EncodingTable, folder: Path) -> TopicEncoding:
     from messages.payload.bounded import BoundedEncoding
     from messages.payload.delta import DeltaEncoding
-    from messages.payload.joint_maps import joint_maps
+    from messages.payload.maps import maps_of
 
     message_type = _message_type(table, folder)
     return (DeltaEncoding if table.delta else BoundedEncoding)(
         message_type,
-        joint_maps(message_type),
+        maps_of(message_type),
         out_of_range=table.out_of_range,
         assume=table.assume,
         publish=table.publish,
@@ -77,9 +77,15 @@ def _bounded(table: EncodingTable, folder: Path) -> TopicEncoding:
 
 
 def _message_type(table: EncodingTable, folder: Path) -> type[Message]:
+    from messages.bounded_catalogue import BOUNDED_CATALOGUE, find_bounded
     from messages.dccl import load_proto, sendable_types
 
-    assert table.proto is not None
+    if table.proto is None:
+        found = find_bounded(table.message or "")
+        if found is None:
+            known = ", ".join(message.name for message in BOUNDED_CATALOGUE)
+            raise PayloadError(f"message = {table.message!r}: the catalogue has {known}; or give proto")
+        return found.message_type
     types = sendable_types(load_proto(folder / table.proto))
     if table.message is None and len(types) == 1:
         return next(iter(types.values()))

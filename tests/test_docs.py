@@ -12,6 +12,7 @@ from shaper.frames import HEADER_BYTES, IP_UDP_BYTES
 from shaper.incoming import Limits
 from shaper.traffic_class import DEFAULT_CLASSES
 from straitlink.cli import app
+from tools.generate_messages_page import page
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 README = DOCS.parent / "README.md"
@@ -64,6 +65,10 @@ def test_the_sizes_on_the_wire_are_those_of_the_code() -> None:
     text = (DOCS / "wire_format.md").read_text()
     assert f"a header of {HEADER_BYTES} bytes" in text
     assert f"take {IP_UDP_BYTES} (IP, UDP)" in text.replace("takes", "take")
+
+
+def test_the_page_of_messages_is_that_of_the_catalogue() -> None:
+    assert (DOCS / "messages.md").read_text() == page(), "run `make messages-page`"
 
 
 def test_every_command_is_in_the_readme() -> None:

@@ -9,6 +9,7 @@ from google.protobuf.message import DecodeError as ProtobufDecodeError
 from google.protobuf.message import Message
 
 from messages.dccl import Codec, DcclError, Deviation
+from messages.dccl.options import as_descriptor
 from messages.payload.topic_encoding import Encoded, Payload, PayloadError
 
 PROTOBUF = "application/protobuf"
@@ -40,6 +41,8 @@ class SameMessage:
 
     def __init__(self, message_type: type[Message]) -> None:
         self._message_type = message_type
+        stamp = as_descriptor(message_type).fields_by_name.get("capture_ns")
+        self._has_capture_ns = stamp is not None and stamp.has_presence
         self.bus_type = f"{PROTOBUF};{message_type.DESCRIPTOR.full_name}"
 
     def to_message(self, payload: bytes) -> Message:
@@ -52,7 +55,9 @@ class SameMessage:
             ) from error
 
     def to_payload(self, message: Message, capture_unix_ns: int | None) -> bytes:
-        """The message serialised."""
+        """The message serialised; its `capture_ns`, which need not cross, is the link's."""
+        if self._has_capture_ns and capture_unix_ns is not None and not message.HasField("capture_ns"):
+            message.capture_ns = max(0, capture_unix_ns)  # type: ignore[attr-defined]
         return message.SerializePartialToString()
 
 

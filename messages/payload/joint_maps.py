@@ -91,6 +91,11 @@ def joint_maps(message_type: type[Message]) -> tuple[ValueMap[JointSample], ...]
     return maps_of_forms(FORMS, schema.description, schema.message_of, schema.sample_of)
 
 
+def joint_names(group: type[Message]) -> dict[str, str]:
+    """The fields of a group of joints, by the joint's name."""
+    return {_joint_of(field): field.name for field in as_descriptor(group).fields}
+
+
 def _fields_of(group: FieldDescriptor) -> Sequence[FieldDescriptor]:
     return () if group.message_type is None else group.message_type.fields
 

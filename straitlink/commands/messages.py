@@ -18,13 +18,15 @@ def messages(
     include: Annotated[list[Path], typer.Option("--include", "-I", help="Folder that it imports from.")] = [],  # noqa: B006
     as_json: Annotated[bool, typer.Option("--json", help="Print sizes as JSON.")] = False,
 ) -> None:
-    """Print the topics of the catalogue, or the bit budget of each DCCL message in .proto files."""
+    """Print the topics and bounded messages of the catalogue, or the bit budgets of your .proto files."""
     if context.invoked_subcommand is not None:
         return
     if proto:
         _print_budgets(proto, include, as_json)
     else:
         _print_catalogue(as_json)
+        if not as_json:
+            _print_bounded()
 
 
 @app.command()
@@ -84,6 +86,14 @@ def _print_budgets(protos: list[Path], folders: list[Path], as_json: bool) -> No
                 typer.echo(f"{info}\n")
     if as_json:
         typer.echo(json.dumps(sizes, indent=1))
+
+
+def _print_bounded() -> None:
+    from messages.bounded_catalogue import BOUNDED_CATALOGUE
+    from messages.dccl import Codec
+
+    for message in BOUNDED_CATALOGUE:
+        typer.echo(f"{Codec(message.message_type).info()}\n")
 
 
 def _print_catalogue(as_json: bool) -> None:

@@ -16,6 +16,7 @@ from messages.payload.joints import (
     read_joint_states,
     write_joint_state,
 )
+from messages.proto.straitlink.heartbeat_pb2 import Heartbeat
 from shaper.config import ShaperConfig, load_config
 from shaper.errors import ConfigError
 from shaper.events import Delivered
@@ -171,3 +172,19 @@ def test_the_same_schema_in_two_folders_is_the_same_encoding(tmp_path: Path) -> 
         write_schema(folder)
         digests.append(tuple(load(folder, JOINTS).endpoint.encodings))
     assert digests[0] == digests[1]
+
+
+def test_a_message_of_the_catalogue_is_taken_by_its_name_alone(tmp_path: Path) -> None:
+    text = MINIMAL + 'encoding = "beat"\n[encodings.beat]\nmessage = "straitlink.Heartbeat"\n'
+    config = load(tmp_path, text)
+    pair = pair_of(config, config)
+    beat = Heartbeat(sequence=5, uptime_s=77, mode=2, battery_ratio=0.5)
+    pair.offer(
+        pair.robot, KEY, beat.SerializeToString(), encoding="application/protobuf;straitlink.Heartbeat"
+    )
+    pair.advance(1 * S)
+    (event,) = [e for e in pair.operator.events if isinstance(e, Delivered)]
+    after = Heartbeat.FromString(event.payload)
+    assert (after.sequence, after.mode, after.capture_ns) == (5, 2, event.capture_unix_ns)
+    with pytest.raises(ConfigError, match=r"'straitlink.Nothing': the catalogue has straitlink.Heartbeat, "):
+        load(tmp_path, text.replace("straitlink.Heartbeat", "straitlink.Nothing"))
