@@ -23,8 +23,10 @@ AGREE_M = 0.05  # returns of a cell within this are of one surface: +-2.5 sigma 
 LEVEL_M = 0.04  # thickness of a horizontal surface as seen in a cell: the noise left in its height
 SAME_M = 0.03  # neighbours within this share a level
 TALL_M = 0.5  # above its surroundings: a wall or a post, not a step
+COARSE_M = 0.1  # larger cells than this hold more than noise moves: the upper level counts
 FACE_MARGIN_M = 0.004  # a face must stand this far inside a cell to be its own
 FACE_SHARE = 0.6  # of the most returns between levels that a cell nearby has
+BEHIND_SHARE = 0.5  # of a cell's own, in the cell behind it: the face stands on their border
 FEW = 3  # returns that may all be noise
 
 _HOLE, _FLAT, _MIXED, _FACE = 0, 1, 2, 3
@@ -57,17 +59,28 @@ class Grid:
         return Grid(self.min_x_m - step, self.min_y_m - step, step, self.columns + 2, self.rows + 2)
 
 
-def render_height_map(points_m: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
+def render_height_map(
+    points_m: NDArray[np.float32], grid: Grid, sensor_m: tuple[float, float] = (0.0, 0.0)
+) -> NDArray[np.float32]:
     """(rows, columns) heights in metres, NaN for holes; row 0 at the lowest y, column 0 at the lowest x.
 
     points_m: (N, 3) in the view's frame, of the grid with its margin; others are passed over.
+    sensor_m: x and y of where they were seen from, on average: a solid is on a face's far side.
     """
     wide = grid.with_margin()
     cells = np.empty(len(points_m), dtype=np.int32)
-    levels = _levels(points_m, wide.min_x_m, wide.min_y_m, 1 / wide.resolution_m, wide.columns, wide.rows, cells)
+    levels = _levels(
+        points_m, wide.min_x_m, wide.min_y_m, 1 / wide.resolution_m, wide.columns, wide.rows, cells
+    )
     parts = _parts(points_m, cells, levels, wide.min_x_m, wide.min_y_m, wide.resolution_m, wide.columns)
     kinds = _kinds(levels, parts, wide.columns, wide.rows, wide.resolution_m)
-    heights = _heights(levels, parts, kinds, wide.columns, wide.rows)
+    seen_from = (
+        (sensor_m[0] - wide.min_x_m) / wide.resolution_m - 0.5,
+        (sensor_m[1] - wide.min_y_m) / wide.resolution_m - 0.5,
+    )
+    heights = _heights(
+        levels, parts, kinds, wide.columns, wide.rows, *seen_from, grid.resolution_m > COARSE_M
+    )
     return np.ascontiguousarray(heights[1:-1, 1:-1])
 
 
@@ -207,7 +220,14 @@ def _line_inside(sums: FloatArray, resolution: float) -> bool:
 
 @compiled
 def _heights(
-    levels: FloatArray, parts: FloatArray, kinds: NDArray[np.int8], columns: int, rows: int
+    levels: FloatArray,
+    parts: FloatArray,
+    kinds: NDArray[np.int8],
+    columns: int,
+    rows: int,
+    sensor_column: float,
+    sensor_row: float,
+    coarse: bool,
 ) -> NDArray[np.float32]:
     """(rows, columns): each cell's height by its own returns and the levels that its neighbours share."""
     heights = np.full((rows, columns), np.nan, dtype=np.float32)
@@ -223,7 +243,7 @@ def _heights(
             else:
                 low = parts[cell, 1] / parts[cell, 0]
                 top = parts[cell, 3] / max(parts[cell, 2], 1.0)
-            if kinds[row, column] == _FACE:
+            if kinds[row, column] == _FACE or coarse:
                 heights[row, column] = top
                 continue
             _look_around(levels, kinds, row, column, columns, rows, low, top, around)
@@ -232,6 +252,16 @@ def _heights(
                     heights[row, column] = low
                 continue
             choice = _choose(parts[cell, 0], parts[cell, 4], parts[cell, 2], span, around)
+            if choice > 0 and around[2] <= 1 and span > 0.3:
+                # Which of two cells a face on their border belongs to is for noise to say; it has stood
+                # in front of the solid, never behind it.
+                across, along = column - sensor_column, row - sensor_row
+                far = max(abs(across), abs(along), 1e-9)
+                c, r = column + round(across / far), row + round(along / far)
+                if 0 <= r < rows and 0 <= c < columns:
+                    behind = parts[r * columns + c, 4]
+                    if behind > 0 and behind >= BEHIND_SHARE * parts[cell, 4]:
+                        choice = 0
             if choice != 0:
                 heights[row, column] = top if choice > 0 else low
     return heights
@@ -281,7 +311,7 @@ def _look_around(
 def _is_supported(count: float, around: FloatArray) -> bool:
     """Whether a flat cell of few returns is more than noise of what stands around it."""
     votes, agree, mixed, spanned = around[0], around[1], around[3], around[4]
-    if mixed >= 5 and count <= 5:
+    if mixed >= 5:  # seen beneath something whose top was not met here
         return False
     if count > FEW:
         return True
@@ -310,4 +340,4 @@ def _choose(low: float, between: float, top: float, span: float, around: FloatAr
         return -1 if low >= (2 if span < 0.3 else 3) else 0
     if top_shared:
         return 1 if top >= 0.3 * (low + between + top) else 0
-    return 1 if top >= 3 and around[6] == 0 else 0
+    return 1 if top >= 3 and low + between + top >= 2 * FEW and around[6] == 0 else 0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from perception_server.compiled import compiled
 from perception_server.frames import FloatArray
-from perception_server.point_ring import BlockView
+from perception_server.point_ring import RUN_POINTS, BlockView
 
 OUTSIDE, CROSSING, INSIDE = 0, 1, 2
 
@@ -53,14 +53,15 @@ class Region:
 class ViewPoints:
     """The points of a region, in the view's frame, in the order in which they were taken.
 
-    points_m: (N, 3) float32. sensors_m: (N,) index into origins_m (S, 3), where each one's sensor was.
-    sources: how many scans or clouds lie in the window. start_ns..end_ns: what these span.
+    points_m: (N, 3) float32. sources: how many scans, clouds or disparity images lie in the window.
+    start_ns..end_ns: what these span; 0 without any. sensor_m: where they were taken from, on average.
     """
 
     points_m: NDArray[np.float32]
     sources: int
     start_ns: int
     end_ns: int
+    sensor_m: tuple[float, float, float]
 
 
 def collect(views: tuple[BlockView, ...], window: Window, region: Region) -> ViewPoints:
@@ -71,6 +72,7 @@ def collect(views: tuple[BlockView, ...], window: Window, region: Region) -> Vie
     out = np.empty((points, 3), dtype=np.float32)
     rotation = np.ascontiguousarray(region.view_from_world[:3, :3])
     planes = region.planes()
+    range2 = np.array([region.min_range_m, region.max_range_m], dtype=np.float32) ** 2
     count = 0
     for view, scans in picked:
         block = view.block
@@ -85,12 +87,14 @@ def collect(views: tuple[BlockView, ...], window: Window, region: Region) -> Vie
             origins,
             rotation.astype(np.float32),
             planes,
-            np.float32(region.min_range_m) ** 2,
-            np.float32(region.max_range_m) ** 2,
+            range2,
             region.rejected_flags,
             out,
             count,
         )
+    origins_m = [view.block.origin_m[scans] for view, scans in picked]
+    mean_m = np.concatenate(origins_m).mean(axis=0) if origins_m else np.zeros(3)
+    x, y, z = (rotation @ mean_m + region.view_from_world[:3, 3]).tolist()
     starts = [int(view.block.start_ns[scans].min()) for view, scans in picked]
     ends = [int(view.block.end_ns[scans].max()) for view, scans in picked]
     return ViewPoints(
@@ -98,6 +102,7 @@ def collect(views: tuple[BlockView, ...], window: Window, region: Region) -> Vie
         sum(scans.size for _, scans in picked),
         min(starts, default=0),
         max(ends, default=0),
+        (x, y, z),
     )
 
 
@@ -114,75 +119,89 @@ def _point_count(view: BlockView, scans: NDArray[np.intp]) -> int:
 
 @compiled
 def _collect_block(
-    points,
-    flags,
-    first_point,
-    first_run,
-    run_bounds,
-    scans,
-    origins,
-    rotation,
-    planes,
-    min_range2,
-    max_range2,
-    rejected,
-    out,
-    count,
-):
-    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    half = np.float32(0.5)
-    all_ranges = min_range2 <= 0 and max_range2 == np.inf
+    points: NDArray[np.float32],
+    flags: NDArray[np.uint8],
+    first_point: NDArray[np.int64],
+    first_run: NDArray[np.int64],
+    run_bounds: NDArray[np.float32],
+    scans: NDArray[np.intp],
+    origins: NDArray[np.float32],
+    rotation: NDArray[np.float32],
+    planes: NDArray[np.float32],
+    range2: NDArray[np.float32],
+    rejected: int,
+    out: NDArray[np.float32],
+    count: int,
+) -> int:
+    """Append a block's points of the region to out (N, 3) at count; returns the new count.
+
+    scans: which; origins (len(scans), 3): their origins in the view's frame. range2 (2,): bounds squared.
+    """
+    r = rotation
+    all_ranges = range2[0] <= 0 and range2[1] == np.inf
     for s in range(scans.size):
         scan = scans[s]
         ox, oy, oz = origins[s, 0], origins[s, 1], origins[s, 2]
-        first, last = first_point[scan], first_point[scan + 1]
         for run in range(first_run[scan], first_run[scan + 1]):
-            begin = first + (run - first_run[scan]) * 64
-            end = min(begin + 64, last)
-            cx = half * (run_bounds[run, 0] + run_bounds[run, 3])
-            cy = half * (run_bounds[run, 1] + run_bounds[run, 4])
-            cz = half * (run_bounds[run, 2] + run_bounds[run, 5])
-            hx, hy, hz = run_bounds[run, 3] - cx, run_bounds[run, 4] - cy, run_bounds[run, 5] - cz
-            vx = r00 * cx + r01 * cy + r02 * cz + ox
-            vy = r10 * cx + r11 * cy + r12 * cz + oy
-            vz = r20 * cx + r21 * cy + r22 * cz + oz
-            ex = abs(r00) * hx + abs(r01) * hy + abs(r02) * hz
-            ey = abs(r10) * hx + abs(r11) * hy + abs(r12) * hz
-            ez = abs(r20) * hx + abs(r21) * hy + abs(r22) * hz
-            outside = False
-            inside = True
-            for p in range(len(planes)):
-                distance = planes[p, 0] * vx + planes[p, 1] * vy + planes[p, 2] * vz + planes[p, 3]
-                reach = abs(planes[p, 0]) * ex + abs(planes[p, 1]) * ey + abs(planes[p, 2]) * ez
-                if distance < -reach:
-                    outside = True
-                    break
-                if distance < reach:
-                    inside = False
-            if outside:
+            place = _place_run(run_bounds[run], r, ox, oy, oz, planes)
+            if place == OUTSIDE:
                 continue
-            for i in range(begin, end):
+            begin = first_point[scan] + (run - first_run[scan]) * RUN_POINTS
+            for i in range(begin, min(begin + RUN_POINTS, first_point[scan + 1])):
                 if flags[i] & rejected:
                     continue
                 px, py, pz = points[i, 0], points[i, 1], points[i, 2]
                 if not all_ranges:
-                    range2 = px * px + py * py + pz * pz
-                    if range2 < min_range2 or range2 > max_range2:
+                    squared = px * px + py * py + pz * pz
+                    if squared < range2[0] or squared > range2[1]:
                         continue
-                x = r00 * px + r01 * py + r02 * pz + ox
-                y = r10 * px + r11 * py + r12 * pz + oy
-                z = r20 * px + r21 * py + r22 * pz + oz
-                kept = True
-                if not inside:
-                    for p in range(len(planes)):
-                        if planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z + planes[p, 3] < 0:
-                            kept = False
-                            break
-                if kept:
-                    out[count, 0] = x
-                    out[count, 1] = y
-                    out[count, 2] = z
+                x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + ox
+                y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + oy
+                z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + oz
+                if place == INSIDE or _is_inside(x, y, z, planes):
+                    out[count, 0], out[count, 1], out[count, 2] = x, y, z
                     count += 1
     return count
+
+
+@compiled
+def _is_inside(x: float, y: float, z: float, planes: NDArray[np.float32]) -> bool:
+    for p in range(len(planes)):
+        if planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z + planes[p, 3] < 0:
+            return False
+    return True
+
+
+@compiled
+def _place_run(
+    bounds: NDArray[np.float32],
+    r: NDArray[np.float32],
+    ox: float,
+    oy: float,
+    oz: float,
+    planes: NDArray[np.float32],
+) -> int:
+    """Where a run's bounding box lies: wholly OUTSIDE one of the planes, INSIDE of all, or CROSSING."""
+    half = np.float32(0.5)
+    cx, cy, cz = (
+        half * (bounds[0] + bounds[3]),
+        half * (bounds[1] + bounds[4]),
+        half * (bounds[2] + bounds[5]),
+    )
+    hx, hy, hz = bounds[3] - cx, bounds[4] - cy, bounds[5] - cz
+    x = r[0, 0] * cx + r[0, 1] * cy + r[0, 2] * cz + ox
+    y = r[1, 0] * cx + r[1, 1] * cy + r[1, 2] * cz + oy
+    z = r[2, 0] * cx + r[2, 1] * cy + r[2, 2] * cz + oz
+    ex = abs(r[0, 0]) * hx + abs(r[0, 1]) * hy + abs(r[0, 2]) * hz
+    ey = abs(r[1, 0]) * hx + abs(r[1, 1]) * hy + abs(r[1, 2]) * hz
+    ez = abs(r[2, 0]) * hx + abs(r[2, 1]) * hy + abs(r[2, 2]) * hz
+    place = INSIDE
+    for p in range(len(planes)):
+        distance = planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z + planes[p, 3]
+        reach = abs(planes[p, 0]) * ex + abs(planes[p, 1]) * ey + abs(planes[p, 2]) * ez
+        # A thousandth of a millimetre: float32 rounds, and a point on the border is tested itself.
+        if distance < -reach - 1e-6:
+            return OUTSIDE
+        if distance < reach + 1e-6:
+            place = CROSSING
+    return place

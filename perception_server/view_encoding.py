@@ -1,0 +1,67 @@
+"""Points drawn and coded at a given fidelity: header and data of a view."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from messages.proto.straitlink.view_pb2 import VIEW_STATUS_RENDERED, View, ViewRequest
+from perception_server.height_map import render_height_map
+from perception_server.range_map import render_range_map
+from perception_server.region import ViewPoints
+from perception_server.view_codec import CodecId, decode_cloud, encode_cloud, encode_map, encode_octree
+from perception_server.view_codec.map_header import unpack_header
+from perception_server.view_wish import Fidelity, ViewWish
+from perception_server.voxels import resample
+
+_MAP_CODECS = {
+    ViewRequest.CODEC_UNSPECIFIED: None,
+    ViewRequest.CODEC_ZLIB: CodecId.MAP_ZLIB,
+    ViewRequest.CODEC_SERPENTINE: CodecId.MAP_SERPENTINE,
+    ViewRequest.CODEC_CONTEXT: CodecId.MAP_CONTEXT,
+}
+
+
+def encode_view(header: View, wish: ViewWish, points: ViewPoints, fidelity: Fidelity) -> View:
+    """One view. Raises view_codec.EncodeError for more than a codec holds."""
+    view = View()
+    view.CopyFrom(header)
+    view.status = VIEW_STATUS_RENDERED
+    view.coarsened = fidelity != wish.finest
+    if wish.form == ViewRequest.FORMAT_HEIGHT_MAP:
+        grid = wish.grid(fidelity.resolution)
+        view.min_x_m, view.min_y_m, view.resolution_m = grid.min_x_m, grid.min_y_m, grid.resolution_m
+        _put_map(view, render_height_map(points.points_m, grid, points.sensor_m[:2]), wish, fidelity)
+    elif wish.form == ViewRequest.FORMAT_RANGE_MAP:
+        projection = wish.shrunk_projection(fidelity.resolution)
+        view.horizontal_fov_rad = projection.horizontal_fov_rad
+        view.vertical_fov_rad = projection.vertical_fov_rad
+        _put_map(view, render_range_map(points.points_m, projection), wish, fidelity)
+    elif wish.form == ViewRequest.FORMAT_CLOUD:
+        kept = resample(points.points_m, fidelity.resolution)
+        codec = CodecId.CLOUD_ZLIB if wish.codec == ViewRequest.CODEC_ZLIB else None
+        view.data = encode_cloud(kept, max_error_m=fidelity.max_error_m, codec=codec)
+        cloud = decode_cloud(view.data)
+        view.resolution_m, view.step_m, view.max_error_m = (
+            fidelity.resolution,
+            cloud.step_m,
+            cloud.max_error_m,
+        )
+    else:
+        view.resolution_m = fidelity.resolution
+        view.max_error_m = fidelity.resolution * 3**0.5 / 2  # from a leaf's middle to its corner
+        view.data = encode_octree(points.points_m, leaf_m=fidelity.resolution)
+    return view
+
+
+def _put_map(view: View, values: NDArray[np.float32], wish: ViewWish, fidelity: Fidelity) -> None:
+    view.data = encode_map(
+        values,
+        max_error_m=fidelity.max_error_m,
+        codec=_MAP_CODECS[wish.codec],
+        denoise=wish.denoise,
+        close_gaps=wish.close_gaps,
+    )
+    coded = unpack_header(view.data)
+    view.step_m, view.max_error_m = coded.step_m, coded.max_error_m
+    view.denoised, view.gaps_closed = wish.denoise, wish.close_gaps
