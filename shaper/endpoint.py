@@ -297,6 +297,11 @@ class Endpoint:
         """For how long nothing has come from the peer; since the start if nothing ever has."""
         return now_ns - self._timers.last_heard_ns
 
+    @property
+    def held_bytes(self) -> int:
+        """What unfinished, waiting and shared messages of the peer's take of our memory."""
+        return self._incoming.held_bytes if self._incoming is not None else 0
+
     def sent_ledgers(self) -> dict[str, SentLedger]:
         """Counters of the topics that this side sends, by key."""
         return self._outgoing.ledgers()

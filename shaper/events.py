@@ -48,11 +48,15 @@ class ReceiptStage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """News of a message that is reliable, or that was asked for. tag: what the driver gave with the offer."""
+    """News of a message that is reliable, or that was asked for. tag: what the driver gave with the offer.
+
+    on_told: called by `pump_link` when the driver has taken it, where that is journaled.
+    """
 
     key: str
     tag: int
     stage: ReceiptStage
+    on_told: Callable[[], None] | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

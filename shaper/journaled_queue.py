@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from shaper.events import Event, Receipt, ReceiptStage
 from shaper.journal import Journal, OwnMessage
@@ -93,13 +94,12 @@ class JournaledQueue(ReliableQueue):
 
     def _by_tag(self, receipt: Receipt) -> Receipt:
         """A receipt with the publisher's number in place of the journal's; the last one clears both."""
-        if receipt.tag < 0:  # was never on record
-            return Receipt(receipt.key, -1 - receipt.tag, receipt.stage)
-        tag = self._tags[receipt.tag]
-        if receipt.stage not in _UNDER_WAY:
-            self._forget(receipt.tag)
-        return Receipt(receipt.key, tag, receipt.stage)
+        serial = receipt.tag
+        if serial < 0:  # was never on record
+            return Receipt(receipt.key, -1 - serial, receipt.stage)
+        done = None if receipt.stage in _UNDER_WAY else partial(self._forget, serial)
+        return Receipt(receipt.key, self._tags[serial], receipt.stage, done)
 
     def _forget(self, serial: int) -> None:
         self._journal.settle(serial)
-        del self._tags[serial]
+        self._tags.pop(serial, None)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from shaper.endpoint import Endpoint
-from shaper.events import Event
+from shaper.events import Event, Receipt
 from shaper.handshake import Identity
 from shaper.open_channel import OpenChannel
 from shaper.secure_channel import Address, Control, SecureChannel
@@ -103,4 +103,6 @@ def pump_link(
         send(*outgoing)
     while (event := link.next_event()) is not None:
         handle(event)
+        if isinstance(event, Receipt) and event.on_told is not None:
+            event.on_told()
     return link.wakeup_at_ns(now_ns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from messages.payload import StreamEncoding
 from shaper.datagram import SHARE_OVERHEAD_BYTES, append_message, append_skip, message_overhead_bytes
@@ -114,8 +115,8 @@ class Outgoing:
                 queue.restore(messages, self._journal.next_numbers().get(key, 0), now_ns)
                 continue
             for message in messages:  # the rules are others now
-                self._journal.settle(message.serial)
-                self.events.append(Receipt(key, message.tag, ReceiptStage.LOST))
+                settle = partial(self._journal.settle, message.serial)
+                self.events.append(Receipt(key, message.tag, ReceiptStage.LOST, settle))
 
     def missed(self, key: str, count: int) -> None:
         """Count messages of a topic that newer ones replaced on the way here."""

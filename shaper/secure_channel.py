@@ -116,6 +116,7 @@ class SecureChannel:
         self._asked: dict[int, _Asked] = {}  # by our session number
         self._answered: dict[int, Session] = {}  # until the peer proves that it has our answer
         self._sessions: list[Session] = []  # oldest first
+        self._current: Session | None = None  # the one to seal with
         self._by_id: dict[int, Session] = {}
         self._seen_ephemerals: dict[bytes, None] = {}
         self._to_send: deque[tuple[bytes, Address]] = deque(maxlen=_MAX_UNDER_WAY)
@@ -132,20 +133,12 @@ class SecureChannel:
     @property
     def ready(self) -> bool:
         """Whether datagrams can be sealed."""
-        return bool(self._sessions)
+        return self._current is not None
 
     @property
     def peer(self) -> Identity | None:
         """What the peer told of itself in the session in use."""
-        return self._current.hello.identity if self._sessions else None
-
-    @property
-    def _current(self) -> Session:
-        """The session to seal with: the newest under which the peer has sealed something too.
-
-        One that it has not may be lost on it; but where there is no other, it has at least answered.
-        """
-        return next((s for s in reversed(self._sessions) if s.proven), self._sessions[-1])
+        return self._current.hello.identity if self._current is not None else None
 
     def session_ids(self) -> list[int]:
         """Numbers under which datagrams may come: for a filter in front of the socket."""
@@ -164,10 +157,12 @@ class SecureChannel:
 
     def seal(self, datagram: bytes, number: int) -> bytes:
         """Protect a datagram of the endpoint's. number: its packet number in full."""
+        assert self._current is not None, "a channel that is not ready seals nothing"
         return self._current.seal(datagram, number)
 
     def seal_control(self, payload: bytes) -> bytes:
         """Protect something for the peer's channel."""
+        assert self._current is not None, "a channel that is not ready seals nothing"
         return self._current.seal_control(payload)
 
     def next_handshake(self, now_ns: int) -> tuple[bytes, Address] | None:
@@ -181,9 +176,9 @@ class SecureChannel:
         return self._initiate_when_ns()
 
     def _initiate_when_ns(self) -> int:
-        if not self._sessions:
-            return self._initiate_at_ns
         session = self._current
+        if session is None:
+            return self._initiate_at_ns
         wait_ns = REKEY_AFTER_NS if session.initiated else REKEY_AFTER_NS + _REKEY_PATIENCE_NS
         due_ns = session.made_ns + wait_ns
         if session.sealed >= _REKEY_AFTER_SEALED or session.forged >= MAX_FORGED:
@@ -242,6 +237,7 @@ class SecureChannel:
         if session is None:
             self.counters.strangers += 1
             return None
+        proven = session.proven
         opened = session.open(data, now_ns)
         if opened is None:
             self.counters.replayed += 1
@@ -249,13 +245,17 @@ class SecureChannel:
         body, newest = opened
         if self._answered.pop(session.own_id, None) is not None:
             self._establish(session, session.made_ns, now_ns)
+        elif not proven:
+            self._choose_session()
         self._heard(session, source if newest else None, now_ns)
         return Control(body) if kind == CONTROL else body
 
     def _heard(self, session: Session, source: Address | None, now_ns: int) -> None:
         """The peer has sealed something. source: where it is, if nothing newer has told."""
         current = self._current
-        if session.hello.identity != current.hello.identity:  # a former life's: no sign of the present one
+        if (
+            current is None or session.hello.identity != current.hello.identity
+        ):  # a former life's: no sign of the present one
             return
         self.last_heard_ns = now_ns
         if source is not None and source != self.peer_address:
@@ -265,6 +265,13 @@ class SecureChannel:
         if len(self._sessions) > 1:
             idle = [s for s in self._sessions if s is not current and now_ns - s.used_ns > _OVERLAP_NS]
             self._forget(idle)
+
+    def _choose_session(self) -> None:
+        """Seal with the newest session under which the peer has sealed something too.
+
+        One that it has not may be lost on it; but where there is no other, it has at least answered.
+        """
+        self._current = next((s for s in reversed(self._sessions) if s.proven), self._sessions[-1])
 
     def _forget(self, sessions: list[Session]) -> None:
         for session in sessions:
@@ -332,9 +339,10 @@ class SecureChannel:
         """Both sides have proved that they hold the key, and that they are there now."""
         self._sessions.append(session)
         self._sessions.sort(key=lambda each: each.made_ns)  # a late proof makes no older session the newest
+        self._choose_session()
         if len(self._sessions) > _MAX_SESSIONS:
-            current = self._current
-            self._forget([min((s for s in self._sessions if s is not current), key=lambda s: s.used_ns)])
+            others = [s for s in self._sessions if s is not self._current and s is not session]
+            self._forget([min(others, key=lambda s: s.used_ns)])
         if session is self._sessions[-1]:
             self._asked.clear()
             self._attempts = 0

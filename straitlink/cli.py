@@ -6,6 +6,7 @@ import sys
 
 import typer
 
+from straitlink.commands.chaos import app as chaos_app
 from straitlink.commands.demo import app as demo_app
 from straitlink.commands.keygen import app as keygen_app
 from straitlink.commands.link import app as link_app
@@ -16,7 +17,16 @@ from straitlink.commands.recordings import app as recordings_app
 from straitlink.commands.virtual import app as virtual_app
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False)
-for commands in (demo_app, live_app, link_app, keygen_app, virtual_app, recordings_app, perception_app):
+for commands in (
+    demo_app,
+    live_app,
+    link_app,
+    keygen_app,
+    chaos_app,
+    virtual_app,
+    recordings_app,
+    perception_app,
+):
     app.registered_commands += commands.registered_commands
 app.add_typer(messages_app, name="messages")
 
