@@ -269,9 +269,12 @@ class SecureChannel:
     def _choose_session(self) -> None:
         """Seal with the newest session under which the peer has sealed something too.
 
-        One that it has not may be lost on it; but where there is no other, it has at least answered.
+        One that it has not may be lost on it; but where there is no other with the peer's present life, it
+        has at least answered.
         """
-        self._current = next((s for s in reversed(self._sessions) if s.proven), self._sessions[-1])
+        newest = self._sessions[-1]
+        alive = [s for s in self._sessions if s.hello.identity == newest.hello.identity]
+        self._current = next((s for s in reversed(alive) if s.proven), newest)
 
     def _forget(self, sessions: list[Session]) -> None:
         for session in sessions:
@@ -333,7 +336,7 @@ class SecureChannel:
         self._by_id[session_id] = session
         self._establish(session, asked.asked_ns, now_ns)
         self._heard(session, source, now_ns)
-        self._to_send.append((session.seal_control(b""), self.peer_address))  # by which it knows us too
+        self._to_send.append((session.seal_control(b""), source))  # by which it knows us too
 
     def _establish(self, session: Session, told_from_ns: int, now_ns: int) -> None:
         """Both sides have proved that they hold the key, and that they are there now."""

@@ -301,6 +301,19 @@ def test_a_repeated_datagram_from_elsewhere_moves_nobody() -> None:
     assert pair.robot.channel.peer_address == ADDRESSES["operator"]
 
 
+def test_a_peer_that_was_led_astray_and_then_restarted_is_found_again() -> None:
+    """Somebody passes a true datagram on from an address of his own; then the peer dies."""
+    pair = met()
+    pair.offer(pair.operator, "operator/command/a")
+    pair.receive(pair.robot, pair.operator.sent[-1][1], STRANGER)
+    assert pair.robot.channel.peer_address == STRANGER
+    pair.underway.clear()
+    pair.robot.address = ("198.51.100.8", 50_001)
+    pair.start(pair.operator)
+    pair.advance(10 * S)
+    assert says(pair, pair.robot, b"down") and says(pair, pair.operator, b"up")
+
+
 def test_a_side_that_moves_and_dies_is_found_again_at_either_address() -> None:
     pair = met()
     pair.operator.address = ("198.51.100.7", 50_000)
