@@ -15,9 +15,9 @@ from .compiled import Doubles, doubles, inlined
 
 MARGIN = 3  # columns to either side of the grid
 ABOVE = 2  # rows before its first
-FIT, MEAN, MEDIAN, ALONG_TOP, NORTH, ALONG_ROW, BLEND = range(7)
-EXPERTS = 7
-_TAPS = 6  # neighbours of the fit
+FIT, MEAN, MEDIAN, ALONG_TOP, NORTH, ALONG_ROW, WEST, BLEND = range(8)
+EXPERTS = 8
+_TAPS = 9  # neighbours of the fit
 _SYSTEM = _TAPS * _TAPS + _TAPS  # its normal equations: matrix, right side
 _STRIP = 16  # columns that share one set of sums
 _DECAY = 0.98  # of a strip's sums with each of its cells
@@ -144,6 +144,7 @@ def guess(grid: Grid, fit: Fit, guesses: Guesses, at: int, width: int, column: i
     at_guess[ALONG_TOP] = w + (ne - n) * 0.5
     at_guess[NORTH] = n
     at_guess[ALONG_ROW] = 2.0 * w - value[at - 2]
+    at_guess[WEST] = w
     total, weights = 0.0, 0.0
     for e in range(EXPERTS):
         error = _recent_error(grid, at, width, e)
@@ -175,6 +176,9 @@ def _fitted(grid: Grid, fit: Fit, at: int, width: int, column: int, mean: float)
     taps[3] = value[at - width + 1] - mean
     taps[4] = value[at - 2] - mean
     taps[5] = value[at - 2 * width] - mean
+    taps[6] = value[at - width + 2] - mean
+    taps[7] = value[at - 2 * width + 1] - mean
+    taps[8] = value[at - width - 2] - mean
     left = column // _STRIP * _SYSTEM
     here = left + _SYSTEM
     right = here + _SYSTEM

@@ -15,7 +15,7 @@ class CodecId(IntEnum):
     """Every codec there is; docs/view_codecs.md has the bytes that follow."""
 
     MAP_ZLIB = 0x10  # the paper's: quantised cells, zlib
-    MAP_SERPENTINE = 0x11  # differences along a serpentine, zstd
+    MAP_SERPENTINE = 0x11  # differences along a serpentine, LZMA
     MAP_CONTEXT = 0x12  # context mixing
     CLOUD_ZLIB = 0x20  # the paper's: interleaved x, y, z, zlib
     CLOUD_ZSTD = 0x21  # breadth-first occupancy, zstd

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .binary_coder import code_bit
 from .cell_experts import EXPERTS, Guesses
-from .compiled import Doubles, Ints, doubles, inlined, ints
+from .compiled import Doubles, Ints, compiled, doubles, inlined, ints
 from .context_mixing import (
     FRESH,
     MIXER_ONE,
@@ -32,9 +32,9 @@ SPREADS = 10  # classes of expected error, which choose mixing weights
 ZERO, SIGN, REACH, LOW_BITS, DEEP_BITS = 0, 1, 2, 19, 53  # decisions: one, one, 17, 2 x 17, 5
 DECISIONS = 58
 _INPUTS = EXPERTS + CONTEXTS + 1
-_MIXER_SHIFT = 14
+_MIXER_SHIFT = 18
 _LIMIT = 60  # decisions after which a context's mean begins to forget
-_FIRST_EXPERT = MIXER_ONE * 14 // 100
+_FIRST_EXPERT = MIXER_ONE * 12 // 100
 _FIRST_CONTEXT = MIXER_ONE * 8 // 100
 _LEAST_SCALE = 0.2
 _SCALE = 0.5  # of a logistic distribution to its recent mean error
@@ -67,6 +67,8 @@ class ResidualModel(NamedTuple):
     spread_weights: Ints  # mixing weights by decision and expected error
     contexts: Ints  # CONTEXTS values below CONTEXT_VALUES, set by the caller for each cell
     slot_of: Ints  # each context's slot for the present decision
+    kind_uses: Ints  # how often each set of weights was used
+    spread_uses: Ints
     inputs: Ints
     offset: Doubles  # of each guess from the whole-number guess
     sharpness: Doubles  # 1 / scale of each guess's distribution
@@ -86,6 +88,8 @@ def fresh_residual_model() -> ResidualModel:
         spread_weights=ints(np.tile(first, DECISIONS * SPREADS)),
         contexts=ints(np.zeros(CONTEXTS)),
         slot_of=ints(np.zeros(CONTEXTS)),
+        kind_uses=ints(np.zeros(DECISIONS)),
+        spread_uses=ints(np.zeros(DECISIONS * SPREADS)),
         inputs=ints(np.zeros(_INPUTS)),
         offset=doubles(np.zeros(EXPERTS)),
         sharpness=doubles(np.zeros(EXPERTS)),
@@ -190,7 +194,7 @@ def _look_beyond(tables: Tables, model: ResidualModel, distance: int) -> None:
         model.inputs[e] = _logit(tables, beyond - below, model.above[e] - below)
 
 
-@inlined
+@compiled
 def _decide(
     coder: Ints,
     data: NDArray[np.uint8],
@@ -207,21 +211,29 @@ def _decide(
         model.slot_of[i] = slot
         inputs[EXPERTS + i] = confident_logit(tables, model.slots[slot])
     inputs[EXPERTS + CONTEXTS] = NAT
-    kind_at = kind * _INPUTS
-    spread_at = (kind * SPREADS + spread) * _INPUTS
+    spread_set = kind * SPREADS + spread
+    kind_at, spread_at = kind * _INPUTS, spread_set * _INPUTS
     by_kind = mixed(model.kind_weights, kind_at, inputs, _INPUTS)
     by_spread = mixed(model.spread_weights, spread_at, inputs, _INPUTS)
     p = squash(tables.squash, (by_kind + by_spread) >> 1)
     bit = code_bit(coder, data, bit, min(max(p, 1), 65535))
     want = bit << 16
-    kind_error = want - squash(tables.squash, by_kind)
-    spread_error = want - squash(tables.squash, by_spread)
+    kind_error = (want - squash(tables.squash, by_kind)) * _eagerness(model.kind_uses, kind)
+    spread_error = (want - squash(tables.squash, by_spread)) * _eagerness(model.spread_uses, spread_set)
     train(model.kind_weights, kind_at, inputs, _INPUTS, kind_error, _MIXER_SHIFT)
     train(model.spread_weights, spread_at, inputs, _INPUTS, spread_error, _MIXER_SHIFT)
     for i in range(CONTEXTS):
         slot = model.slot_of[i]
         model.slots[slot] = learned(tables.rate, model.slots[slot], bit, _LIMIT)
     return bit
+
+
+@inlined
+def _eagerness(uses: Ints, weights: int) -> int:
+    """How far to follow an error, in sixteenths: 22 for fresh weights, towards 6 after some hundred uses."""
+    count = uses[weights]
+    uses[weights] = count + 1
+    return int(6 + 4096 // (256 + count))
 
 
 @inlined
