@@ -10,7 +10,7 @@ from .cloud import CloudView, decode_cloud, encode_cloud
 from .codec_id import CodecId, codec_of
 from .errors import DecodeError, EncodeError, ViewCodecError
 from .jpeg import pack_jpeg, unpack_jpeg
-from .map_codec import MapView, decode_map, encode_map
+from .map_codec import MapView, decode_map, encode_map, warm_up
 from .octree import OctreeView, decode_octree, encode_octree
 
 __all__ = [
@@ -30,4 +30,5 @@ __all__ = [
     "encode_octree",
     "pack_jpeg",
     "unpack_jpeg",
+    "warm_up",
 ]

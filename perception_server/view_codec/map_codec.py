@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from .palette import used_codes
 from .quantisation import LEAST_BITS, MOST_BITS, Codes, dequantise, lattice_for, quantise
 
 PAPER_BITS = 8
+_WARM_UP_CRC = 0xD338AC97
 _NAMES = {
     "zlib": CodecId.MAP_ZLIB,
     "serpentine": CodecId.MAP_SERPENTINE,
@@ -66,9 +69,9 @@ def encode_map(
 
     values: (rows, columns) float32 metres; what is not finite is a hole. Quantised to `max_error_m`, or
     over its own range to `bits` (8, the paper's, if neither is given). codec: "zlib", "serpentine" or
-    "context"; None takes context mixing where Numba is installed, else the serpentine. denoise: a
-    bilateral filter first. close_gaps: the reader fills gaps of one or two cells and marks them.
-    Raises EncodeError for a map or a wish that cannot be carried.
+    "context"; None takes the smaller of the last two, or the serpentine where Numba is not installed.
+    denoise: a bilateral filter first. close_gaps: the reader fills gaps of one or two cells and marks
+    them. Raises EncodeError for a map or a wish that cannot be carried.
     """
     values = _checked_map(values)
     bits = _checked_fidelity(max_error_m, bits)
@@ -80,6 +83,7 @@ def encode_map(
     used = None if codec is CodecId.MAP_ZLIB or not cells.levels else used_codes(cells)
     if used is not None:
         flags |= MapFlag.PALETTE
+    codec, stream = _smallest(codec, cells, used)
     header = MapHeader(
         codec,
         flags,
@@ -90,7 +94,7 @@ def encode_map(
         lattice.step_m,
         _achieved_error_m(values, dequantise(cells.codes, lattice.origin_m, lattice.step_m)),
     )
-    return pack_header(header) + _encode_cells(codec, cells, used)
+    return pack_header(header) + stream
 
 
 def decode_map(data: bytes) -> MapView:
@@ -108,6 +112,39 @@ def decode_map(data: bytes) -> MapView:
     if header.flags & MapFlag.CLOSED:
         values, filled = closed(values)
     return MapView(values, header.max_error_m, header.step_m, bool(header.flags & MapFlag.DENOISED), filled)
+
+
+def warm_up() -> None:
+    """Load or compile the kernels, so that the first view does not wait, and check what they write.
+
+    The first time takes some ten seconds, later ones less than one. Raises RuntimeError if the bytes are
+    not those of every other machine, as from machine code that an older source left in Numba's cache.
+    """
+    cells = np.arange(20 * 24, dtype=np.int64).reshape(20, 24)
+    heights = (cells * cells * 7 % 97 + cells % 24 * 9 % 31).astype(np.float32) / np.float32(64)
+    heights[(cells * 5 + cells // 24) % 7 == 0] = np.nan
+    message = encode_map(heights, max_error_m=0.015625, codec=CodecId.MAP_CONTEXT)
+    if zlib.crc32(message) != _WARM_UP_CRC:
+        raise RuntimeError(
+            f"the compiled map codec writes {zlib.crc32(message):#010x}, not {_WARM_UP_CRC:#010x}: "
+            f"remove {Path(__file__).with_name('__pycache__')} and start again"
+        )
+    decode_map(message)
+
+
+def _smallest(codec: CodecId | None, cells: Codes, used: NDArray[np.bool_] | None) -> tuple[CodecId, bytes]:
+    """A codec and its stream. Where context mixing takes less than a bit a cell, the map repeats itself,
+    and the serpentine, which looks for repetition, may take even less."""
+    if codec is not None:
+        return codec, _encode_cells(codec, cells, used)
+    if not IS_COMPILED:
+        return CodecId.MAP_SERPENTINE, _encode_cells(CodecId.MAP_SERPENTINE, cells, used)
+    stream = _encode_cells(CodecId.MAP_CONTEXT, cells, used)
+    if 8 * len(stream) < np.count_nonzero(cells.valid):
+        other = _encode_cells(CodecId.MAP_SERPENTINE, cells, used)
+        if len(other) < len(stream):
+            return CodecId.MAP_SERPENTINE, other
+    return CodecId.MAP_CONTEXT, stream
 
 
 def _encode_cells(codec: CodecId, cells: Codes, used: NDArray[np.bool_] | None) -> bytes:
@@ -164,9 +201,9 @@ def _checked_fidelity(max_error_m: float | None, bits: int | None) -> int | None
     return bits
 
 
-def _checked_codec(codec: CodecId | str | None) -> CodecId:
+def _checked_codec(codec: CodecId | str | None) -> CodecId | None:
     if codec is None:
-        return CodecId.MAP_CONTEXT if IS_COMPILED else CodecId.MAP_SERPENTINE
+        return None
     chosen = _NAMES.get(codec) if isinstance(codec, str) else codec
     if chosen is None or chosen not in _NAMES.values():
         raise EncodeError(f"codec = {codec!r} is none of {', '.join(_NAMES)}")

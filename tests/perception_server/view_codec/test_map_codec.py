@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from perception_server.view_codec import DecodeError, EncodeError, decode_map, encode_map
+from perception_server.view_codec import DecodeError, EncodeError, decode_map, encode_map, map_codec, warm_up
 
+GOLDEN = Path(__file__).parents[2] / "golden" / "view_maps.json"
 CODECS = ("zlib", "serpentine", "context")
 MapArray = NDArray[np.float32]
 
@@ -90,9 +93,16 @@ def test_infinite_ranges_are_holes() -> None:
 
 
 def test_context_mixing_is_smaller_than_the_serpentine_than_zlib() -> None:
-    for values in (terrain(80, 120), kinect(80, 100)):
-        zlib, serpentine, context = (len(encode_map(values, max_error_m=0.005, codec=c)) for c in CODECS)
-        assert context < 0.9 * serpentine < 0.9 * 0.95 * zlib
+    zlib, serpentine, context = (
+        len(encode_map(terrain(80, 120), max_error_m=0.005, codec=c)) for c in CODECS
+    )
+    assert context < 0.9 * serpentine < 0.9 * 0.95 * zlib
+
+
+def test_unless_told_the_encoder_keeps_the_smaller_of_two() -> None:
+    for values in (terrain(80, 120), kinect(80, 100), np.tile(MAPS["few values"], (5, 2))):
+        sizes = [len(encode_map(values, max_error_m=0.005, codec=codec)) for codec in CODECS]
+        assert len(encode_map(values, max_error_m=0.005)) == min(sizes[1:])
 
 
 def test_a_palette_saves_where_a_sensor_measures_disparities() -> None:
@@ -203,6 +213,35 @@ def test_cut_and_lengthened_maps_are_refused(codec: str) -> None:
             decode_map(broken)
 
 
+def golden_map() -> MapArray:
+    """Heights made with whole numbers, so that every machine has the same."""
+    cells = np.arange(24 * 30, dtype=np.int64)
+    x, y = cells % 30, cells // 30
+    heights = (x * 3 + y * y // 2 + 40 * (x // 8 % 2) + cells * cells * 7 % 5).astype(
+        np.float32
+    ) / np.float32(16)
+    heights[(cells * cells + x) % 6 == 0] = np.nan
+    return heights.reshape(24, 30)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_messages_of_today_decode_for_ever(codec: str) -> None:
+    view = decode_map(bytes.fromhex(json.loads(GOLDEN.read_text())[codec]))
+    np.testing.assert_allclose(view.values, golden_map(), atol=0.03125, rtol=0)
+
+
+def test_context_mixing_writes_the_same_bytes_everywhere() -> None:
+    message = encode_map(golden_map(), max_error_m=0.03125, codec="context")
+    assert message.hex() == json.loads(GOLDEN.read_text())["context"]
+
+
+def test_the_warm_up_knows_its_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    warm_up()
+    monkeypatch.setattr(map_codec, "_WARM_UP_CRC", 1)
+    with pytest.raises(RuntimeError, match="not 0x00000001: remove"):
+        warm_up()
+
+
 FALLBACK = """
 import sys
 sys.modules["numba"] = None
@@ -215,7 +254,7 @@ for name in ("terrain", "disparities", "one row", "flat", "holes alone"):
     message = encode_map(maps.MAPS[name][:24], max_error_m=0.002, codec="context")
     assert decode_map(message).values.shape == maps.MAPS[name][:24].shape
     print(message.hex())
-print(encode_map(maps.MAPS["terrain"], bits=8)[0])
+print(encode_map(maps.MAPS['terrain'], bits=8)[0])
 """
 
 
