@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from straitlink.dictionaries import TopicDictionary
 
 app = typer.Typer(invoke_without_command=True)
 
@@ -69,6 +72,58 @@ def from_urdf(
     else:
         out.write_text(text)
         _print_budgets([out], [], as_json=False)
+
+
+@app.command()
+def train_dictionary(
+    log: Annotated[Path, typer.Argument(help="MCAP file with messages like those that are to cross.")],
+    out: Annotated[Path, typer.Option("-o", help="Folder for the dictionaries.")] = Path("dictionaries"),
+    kilobytes: Annotated[int, typer.Option(help="Of a dictionary at most.", min=1, max=1000)] = 16,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+) -> None:
+    """Train a zstd dictionary for each topic of a log, and say what it gains on messages it has not seen."""
+    from straitlink.dictionaries import config_snippet, train_dictionaries
+
+    results = list(train_dictionaries(log, out, kilobytes * 1000))
+    if as_json:
+        rows = [
+            {
+                "topic": r.key,
+                "trained_on": r.trained.trained_on,
+                "held_out": r.trained.held_out,
+                "raw_bytes": round(r.trained.raw_bytes, 1),
+                "zstd_bytes": round(r.trained.zstd_bytes, 1),
+                "dictionary_bytes": round(r.trained.dictionary_bytes, 1),
+                "gain_ratio": round(r.trained.gain_ratio, 4),
+                "file": None if r.file is None else str(r.file),
+            }
+            for r in results
+        ]
+        typer.echo(json.dumps(rows, indent=1))
+        return
+    _print_gains(results)
+    typer.echo(config_snippet(results, out), nl=False)
+
+
+def _print_gains(results: list[TopicDictionary]) -> None:
+    from rich.box import SIMPLE
+    from rich.table import Table
+
+    from straitlink.commands.console import wide_console
+
+    table = Table(
+        title="Mean bytes of the last fifth of each topic", title_justify="left", box=SIMPLE, pad_edge=False
+    )
+    table.add_column("topic", no_wrap=True)
+    for heading in ("messages", "raw", "zstd", "dictionary", "saves", "file"):
+        table.add_column(heading, justify="left" if heading == "file" else "right", no_wrap=True)
+    for result in results:
+        t = result.trained
+        sizes = (f"{size:,.0f}" for size in (t.raw_bytes, t.zstd_bytes, t.dictionary_bytes))
+        file = "not worth one" if result.file is None else result.file.name
+        count = f"{t.trained_on + t.held_out:,}"
+        table.add_row(result.key, count, *sizes, f"{max(0.0, t.gain_ratio):.0%}", file)
+    wide_console().print(table)
 
 
 def _print_budgets(protos: list[Path], folders: list[Path], as_json: bool) -> None:
