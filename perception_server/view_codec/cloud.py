@@ -26,7 +26,7 @@ _COUNTED = struct.Struct(">BI")  # of the zlib codec: bytes an axis; points
 _WIDTHS = (1, 2, 4)
 _LEAST_STEP_M = float(np.finfo(np.float32).tiny)
 _ROUNDING = 1 - 2.0**-20  # room for a step's rounding to 32 bits
-_CODECS = (CodecId.CLOUD_ZLIB, CodecId.CLOUD_ZSTD)
+_CODECS = (CodecId.CLOUD_ZLIB, CodecId.CLOUD_ZSTD, CodecId.CLOUD_CONTEXT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,7 @@ def encode_cloud(
     points: (N, 3) metres in any frame, N from 0; rows that are not finite are left out.
     bits: per axis, 1..20, over the longest side of the cloud's box; or
     max_error_m: no point moves by more than this, measured straight through the three axes.
-    codec: CLOUD_ZLIB, CLOUD_ZSTD, or None for the smallest.
+    codec: CLOUD_ZLIB, CLOUD_ZSTD (fast), CLOUD_CONTEXT (small), or None for the smaller of the latter.
     Raises EncodeError for what cannot be held: coordinates above 1e30 m, more than 2**20 cells along
     an axis, more than 2**19 cells in all, an error below the rounding of float32 at such coordinates.
     """
@@ -86,7 +86,7 @@ def encode_cloud(
     header = _LATTICE.pack(*lattice.origin_m, lattice.step_m, achieved_m)
     if codec is CodecId.CLOUD_ZLIB:
         return bytes([codec]) + header + _zlib_coded(cells)
-    return bytes([CodecId.CLOUD_ZSTD]) + header + encode_cells(cells)
+    return encode_cells(cells, CodecId.CLOUD_ZSTD, CodecId.CLOUD_CONTEXT, header, codec)
 
 
 def decode_cloud(data: bytes) -> CloudView:
@@ -101,7 +101,8 @@ def decode_cloud(data: bytes) -> CloudView:
         raise DecodeError(f"a lattice from {origin_m} m with steps of {step_m} m is unsound")
     lattice = _Lattice(np.array(origin_m), step_m)
     coded = data[1 + _LATTICE.size :]
-    cells = _zlib_decoded(coded) if codec is CodecId.CLOUD_ZLIB else decode_cells(coded)
+    mixed = codec is CodecId.CLOUD_CONTEXT
+    cells = _zlib_decoded(coded) if codec is CodecId.CLOUD_ZLIB else decode_cells(coded, mixed)
     with np.errstate(over="ignore"):
         points = lattice.points_of(cells)
     if not np.isfinite(points).all():

@@ -28,9 +28,9 @@ from .jpeg_model import (
     code_count,
     code_number,
     fresh_model,
-    rough,
 )
 from .jpeg_scan import LEAST_DC, MOST_AC, MOST_DC
+from .mixer import rough
 
 MAX_BLOCKS = 1 << 14  # a 4:2:0 picture of 640x480 has 7,200
 _MOST_BLOCK_BYTES = 128  # twice what quality 100 takes
@@ -137,49 +137,47 @@ def _code_plane(
             plane.near[TWIN] = twin + here if twin >= 0 else -1
             sound = _code_interior(model, plane, chroma)
             sound = sound and _code_edge(model, plane, 0, chroma) and _code_edge(model, plane, 1, chroma)
-            if not sound or not _code_dc(model, plane, chroma) or model.decisions[0] > MOST_DECISIONS:
+            if not sound or not _code_dc(model, plane, chroma) or model.mixer.decisions[0] > MOST_DECISIONS:
                 return False
     return True
 
 
 @compiled
-def _size(plane: Plane, block: int, place: int) -> int:
+def _size(coefficients: Ints, block: int, place: int) -> int:
     """How large a coefficient is; 0 in a block that there is not."""
-    return abs(plane.coefficients[64 * block + place]) if block >= 0 else 0
+    return abs(coefficients[64 * block + place]) if block >= 0 else 0
 
 
 @compiled
-def _sign(plane: Plane, block: int, place: int) -> int:
+def _sign(coefficients: Ints, block: int, place: int) -> int:
     """0, 1 or 2: zero (or no such block), above, below."""
-    if block < 0 or plane.coefficients[64 * block + place] == 0:
+    if block < 0 or coefficients[64 * block + place] == 0:
         return 0
-    return 1 if plane.coefficients[64 * block + place] > 0 else 2
+    return 1 if coefficients[64 * block + place] > 0 else 2
 
 
 @compiled
-def _around(plane: Plane, place: int) -> int:
+def _around(coefficients: Ints, near: Ints, place: int) -> int:
     """How large a coefficient is in the blocks about, on the scale of `rough`."""
-    near = plane.near
-    beside = _size(plane, near[WEST], place) + _size(plane, near[NORTH], place)
-    corners = _size(plane, near[NORTH_WEST], place) + _size(plane, near[NORTH_EAST], place)
+    beside = _size(coefficients, near[WEST], place) + _size(coefficients, near[NORTH], place)
+    corners = _size(coefficients, near[NORTH_WEST], place) + _size(coefficients, near[NORTH_EAST], place)
     return min(rough(2 * beside + corners), 10)
 
 
 @compiled
-def _lower(plane: Plane, down: int, across: int) -> int:
+def _lower(coefficients: Ints, places: Ints, here: int, down: int, across: int) -> int:
     """How large the block's own coefficients just below a frequency are, on the scale of `rough`."""
-    here = plane.near[HERE]
     total = 0
     if across > 1:
-        total += 2 * _size(plane, here, plane.places[8 * down + across - 1])
+        total += 2 * _size(coefficients, here, places[8 * down + across - 1])
     if down > 1:
-        total += 2 * _size(plane, here, plane.places[8 * down + across - 8])
+        total += 2 * _size(coefficients, here, places[8 * down + across - 8])
     if across > 1 and down > 1:
-        total += _size(plane, here, plane.places[8 * down + across - 9])
+        total += _size(coefficients, here, places[8 * down + across - 9])
     if across > 2:
-        total += _size(plane, here, plane.places[8 * down + across - 2])
+        total += _size(coefficients, here, places[8 * down + across - 2])
     if down > 2:
-        total += _size(plane, here, plane.places[8 * down + across - 16])
+        total += _size(coefficients, here, places[8 * down + across - 16])
     return min(rough(total), 9)
 
 
@@ -223,19 +221,26 @@ def _code_interior(model: Model, plane: Plane, chroma: int) -> bool:
             break
         down, across = plane.order[i] >> 3, plane.order[i] & 7
         place = plane.places[plane.order[i]]
-        around, lower = _around(plane, place), _lower(plane, down, across)
+        around, lower = (
+            _around(plane.coefficients, near, place),
+            _lower(plane.coefficients, plane.places, near[HERE], down, across),
+        )
         left, ahead = min(rough(count), _ROUGHEST - 1), min(rough(_INTERIOR - i), 14)
         contexts[0] = i * 64 + min(count, 20)
         contexts[1] = i * 64 + around
         contexts[2] = (left * 16 + ahead) * 16 + around
         contexts[3] = i * 64 + lower
-        contexts[4] = (min(rough(_size(plane, near[TWIN], place)), 7) * 16 + min(around, 7)) * 16 + lower
+        contexts[4] = (
+            min(rough(_size(plane.coefficients, near[TWIN], place)), 7) * 16 + min(around, 7)
+        ) * 16 + lower
         contexts[5] = (lower * 16 + left) * 16 + ahead
-        beside = _sign(plane, near[WEST], place) * 3 + _sign(plane, near[NORTH], place)
+        beside = _sign(plane.coefficients, near[WEST], place) * 3 + _sign(
+            plane.coefficients, near[NORTH], place
+        )
         for j in range(INPUTS):
             contexts[j] = (contexts[j] * 2 + chroma) * 4 + _OF_INTERIOR
             signs[j] = ((i * 2 + chroma) * 9 + beside) * 4 + _OF_INTERIOR
-        signs[0] = (_sign(plane, near[TWIN], place) * 2 + chroma) * 4 + _OF_INTERIOR
+        signs[0] = (_sign(plane.coefficients, near[TWIN], place) * 2 + chroma) * 4 + _OF_INTERIOR
         at = 64 * near[HERE] + place
         weights_set = _INTERIOR_SET + (2 * left + chroma) * VALUE_SETS
         number = code_number(model, plane.coefficients[at], count == _INTERIOR - i, weights_set)
@@ -327,17 +332,19 @@ def _edge_contexts(model: Model, plane: Plane, i: int, of: int, count: int, expe
     near, contexts, signs = plane.near, model.contexts, model.signs
     along = 8 if of >> 1 else 1
     place = plane.places[along * i]
-    before = _size(plane, near[HERE], plane.places[along * (i - 1)]) if i > 1 else 0
-    around, size = _around(plane, place), min(rough(abs(expected)), 14)
+    before = _size(plane.coefficients, near[HERE], plane.places[along * (i - 1)]) if i > 1 else 0
+    around, size = _around(plane.coefficients, near, place), min(rough(abs(expected)), 14)
     which = i * 4 + of
     contexts[0] = which * 64 + count
     contexts[1] = which * 64 + size
     contexts[2] = (which * 16 + around) * 16 + count
     contexts[3] = (size * 16 + around) * 8 + count
     contexts[4] = (which * 16 + min(rough(plane.inside[near[HERE]]), 10)) * 8 + min(rough(before), 5)
-    contexts[5] = ((size * 16 + min(rough(_size(plane, near[TWIN], place)), 7)) * 8 + count) * 8 + i
-    west, north = _sign(plane, near[WEST], place), _sign(plane, near[NORTH], place)
-    twin = _sign(plane, near[TWIN], place)
+    contexts[5] = (
+        (size * 16 + min(rough(_size(plane.coefficients, near[TWIN], place)), 7)) * 8 + count
+    ) * 8 + i
+    west, north = _sign(plane.coefficients, near[WEST], place), _sign(plane.coefficients, near[NORTH], place)
+    twin = _sign(plane.coefficients, near[TWIN], place)
     likely = size + 16 if expected < 0 else size
     signs[0] = which * 64 + likely
     signs[1] = likely

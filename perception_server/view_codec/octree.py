@@ -17,7 +17,7 @@ from .occupancy import MAX_DEPTH, Cells
 MAX_KEY = (1 << 30) - 1
 MAX_LEAF_M = 1e20
 _GRID = struct.Struct(">d3i")  # leaf edge in metres; smallest key along x, y, z
-_CODECS = (CodecId.OCTREE_ZSTD,)
+_CODECS = (CodecId.OCTREE_ZSTD, CodecId.OCTREE_CONTEXT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ def encode_octree(points: ArrayLike, *, leaf_m: float, codec: CodecId | None = N
 
     points: (N, 3) metres in any frame, N from 0; rows that are not finite are left out.
     leaf_m: edge of a leaf, whose grid passes through the frame's origin.
-    codec: OCTREE_ZSTD, or None for the smallest.
+    codec: OCTREE_ZSTD (fast), OCTREE_CONTEXT (small), or None for the smaller.
     Raises EncodeError for more than 2**20 leaves along an axis, more than 2**19 in all, and for points
     farther than 2**30 leaves from the origin.
     """
@@ -62,7 +62,7 @@ def encode_octree(points: ArrayLike, *, leaf_m: float, codec: CodecId | None = N
             f"{cells.max() + 1} leaves along an axis are above {1 << MAX_DEPTH}: take larger ones"
         )
     header = _GRID.pack(leaf_m, *map(int, first))
-    return bytes([CodecId.OCTREE_ZSTD]) + header + encode_cells(cells)
+    return encode_cells(cells, CodecId.OCTREE_ZSTD, CodecId.OCTREE_CONTEXT, header, codec)
 
 
 def decode_octree(data: bytes) -> OctreeView:
@@ -75,7 +75,8 @@ def decode_octree(data: bytes) -> OctreeView:
     leaf_m, *first = _GRID.unpack_from(data, 1)
     if not 0 < leaf_m <= MAX_LEAF_M:
         raise DecodeError(f"a leaf of {leaf_m} m is outside 0..{MAX_LEAF_M:g} m")
-    return OctreeView(decode_cells(data[1 + _GRID.size :]) + np.array(first, np.int64), leaf_m)
+    cells = decode_cells(data[1 + _GRID.size :], codec is CodecId.OCTREE_CONTEXT)
+    return OctreeView(cells + np.array(first, np.int64), leaf_m)
 
 
 def _keys_of(points: NDArray[np.float64], leaf_m: float) -> NDArray[np.int64]:

@@ -13,13 +13,13 @@ from perception_server.view_codec import CodecId, DecodeError, EncodeError, deco
 from perception_server.view_codec.occupancy import cells_of, codes_of
 from tests.perception_server.view_codec.clouds import room_cloud
 
-CODECS = [None, CodecId.OCTREE_ZSTD]
+CODECS = [None, CodecId.OCTREE_ZSTD, CodecId.OCTREE_CONTEXT]
 COORDINATE_M = st.floats(-1e3, 1e3, width=32)
 CLOUD = arrays.arrays(np.float32, st.tuples(st.integers(0, 40), st.just(3)), elements=COORDINATE_M)
 
 
 @pytest.mark.parametrize("codec", CODECS)
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(cloud=CLOUD, leaf_m=st.floats(0.002, 500))
 def test_the_leaves_are_those_that_hold_a_point(
     codec: CodecId | None, cloud: NDArray[np.float32], leaf_m: float
@@ -79,7 +79,7 @@ def test_what_cannot_be_held_is_refused_in_a_sentence(
         encode_octree(cloud, leaf_m=leaf_m)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(codec=st.sampled_from([codec for codec in CODECS if codec]), data=st.binary(max_size=120))
 def test_hostile_bytes_are_an_error_or_an_octree(codec: CodecId, data: bytes) -> None:
     grid = encode_octree(room_cloud(5), leaf_m=0.1)[1:21]
