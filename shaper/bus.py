@@ -182,6 +182,17 @@ class BusInlet:
             self._on_samples()
 
 
+@dataclass(frozen=True, slots=True)
+class _Put:
+    """Something for the bus. payload: None to delete what is there."""
+
+    key: str
+    payload: bytes | None
+    encoding: str = ""
+    attachment: bytes = b""
+    on_put: Callable[[], None] | None = None
+
+
 class BusOutlet:
     """Publishes what came over the link, from a thread of its own.
 
@@ -192,17 +203,33 @@ class BusOutlet:
     def __init__(self, session: zenoh.Session, max_messages: int = 1024) -> None:
         self.dropped = 0
         self._session = session
-        self._queue: queue.Queue[tuple[str, str, bytes, bytes] | None] = queue.Queue(max_messages)
+        self._queue: queue.Queue[_Put | None] = queue.Queue(max_messages)
         self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
         self._thread = threading.Thread(target=self._run, name="bus-outlet", daemon=True)
         self._thread.start()
 
-    def publish(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
-        """Publish a message soon."""
+    def publish(
+        self,
+        key: str,
+        payload: bytes,
+        encoding: str,
+        attachment: bytes,
+        on_put: Callable[[], None] | None = None,
+    ) -> bool:
+        """Publish a message soon; False if it was dropped. on_put: called in the outlet's thread."""
+        return self._enqueue(_Put(key, payload, encoding, attachment, on_put))
+
+    def withdraw(self, key: str) -> bool:
+        """Delete what was published on a key."""
+        return self._enqueue(_Put(key, None))
+
+    def _enqueue(self, put: _Put) -> bool:
         try:
-            self._queue.put_nowait((key, encoding, payload, attachment))
+            self._queue.put_nowait(put)
         except queue.Full:
             self.dropped += 1
+            return False
+        return True
 
     def close(self) -> None:
         """Publish what is queued and stop, within two seconds."""
@@ -212,11 +239,15 @@ class BusOutlet:
 
     def _run(self) -> None:
         while (item := self._queue.get()) is not None:
-            key, encoding, payload, attachment = item
             try:
-                self._publisher(key, encoding).put(payload, attachment=attachment)
+                if item.payload is None:
+                    self._session.delete(item.key)
+                else:
+                    self._publisher(item.key, item.encoding).put(item.payload, attachment=item.attachment)
             except zenoh.ZError:  # the session is closing, or the key is none: nothing else may stop here
                 self.dropped += 1
+            if item.on_put is not None:
+                item.on_put()
 
     def _publisher(self, key: str, encoding: str) -> zenoh.Publisher:
         publisher = self._publishers.get((key, encoding))

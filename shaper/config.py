@@ -20,6 +20,7 @@ from shaper.errors import ConfigError
 from shaper.incoming import Limits
 from shaper.key_expression import check_key_expression, is_key
 from shaper.link_estimator import PresetBand
+from shaper.operator_lost import OperatorLostSettings
 from shaper.traffic_class import DEFAULT_CLASSES, Compression, Entries, Keep, TopicRule, TrafficClass
 from shaper.wire_type import by_digest
 
@@ -131,6 +132,27 @@ class _MetricsTable(_Table):
         return value
 
 
+class _OperatorLostTable(_Table):
+    key: str
+    payload: str
+    after_s: Annotated[float, Field(ge=1.5, le=86_400, allow_inf_nan=False)] = 5.0
+    repeat_s: Annotated[float, Field(ge=0.1, le=3600, allow_inf_nan=False)] = 1.0
+    encoding: str = "text/plain"
+    back_payload: str | None = None
+
+    @field_validator("key")
+    @classmethod
+    def _is_key(cls, value: str) -> str:
+        if not is_key(value):
+            raise ValueError("expected a key without wildcards")
+        return value
+
+    def to_settings(self) -> OperatorLostSettings:
+        back = None if self.back_payload is None else self.back_payload.encode()
+        after_ns, repeat_ns = round(self.after_s * _NS_PER_S), round(self.repeat_s * _NS_PER_S)
+        return OperatorLostSettings(self.key, self.payload.encode(), after_ns, repeat_ns, self.encoding, back)
+
+
 class _ShaperTable(_Table):
     link: _LinkTable
     zenoh: _ZenohTable
@@ -139,6 +161,7 @@ class _ShaperTable(_Table):
         Annotated[str, Field(pattern=r"^(0|[1-9][0-9]?|1[0-9]{2}|2[0-4][0-9]|25[0-5])$")], _TierTable
     ] = {}
     metrics: _MetricsTable | None = None
+    operator_lost: _OperatorLostTable | None = None
     topics: Annotated[list[_TopicTable], Field(min_length=1)]
     limits: _LimitsTable = _LimitsTable()
     encodings: dict[str, EncodingTable] = {}
@@ -150,7 +173,7 @@ class ShaperConfig:
 
     listen, peer: UDP (host, port) of this side and of the other. metrics: where Prometheus may ask.
     key_files: of link keys, the first to start with. open_link: no keys are wanted, loopback only.
-    journal: where reliable messages are on record; None for nowhere.
+    journal: where reliable messages are on record; None for nowhere. operator_lost: robot's side only.
     resolved: the configuration with all defaults filled in, to be saved beside a result.
     """
 
@@ -165,6 +188,7 @@ class ShaperConfig:
     key_files: tuple[Path, ...] = ()
     open_link: bool = False
     journal: Path | None = None
+    operator_lost: OperatorLostSettings | None = None
     resolved: dict[str, Any] = field(default_factory=dict)
 
 
@@ -262,6 +286,7 @@ _TABLES: dict[str, type[BaseModel]] = {
     "tiers": _TierTable,
     "entries": _EntriesTable,
     "metrics": _MetricsTable,
+    "operator_lost": _OperatorLostTable,
     "encodings": EncodingTable,
 }
 
@@ -387,6 +412,8 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         round(table.limits.max_reassembly_wait_s * _NS_PER_S),
     )
     link = table.link
+    if table.operator_lost is not None and link.side != "robot":
+        raise ConfigError(f"{path}: operator_lost: expected on the robot's side only, not the operator's")
     _check_protection(link, path)
     return ShaperConfig(
         side=link.side,
@@ -409,5 +436,6 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         key_files=tuple(path.parent / name for name in link.keys),
         open_link=link.open,
         journal=_journal(link, path),
+        operator_lost=None if table.operator_lost is None else table.operator_lost.to_settings(),
         resolved=table.model_dump(mode="json", by_alias=True),
     )

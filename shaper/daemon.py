@@ -8,8 +8,10 @@ import json
 import logging
 import secrets
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 from messages.attachment import Stamp, decode_stamp
@@ -28,6 +30,7 @@ from shaper.link_key import LinkKey
 from shaper.metrics import MetricsServer
 from shaper.notices import Notice
 from shaper.open_channel import OpenChannel
+from shaper.operator_lost import OperatorBack, OperatorLost, OperatorWatch
 from shaper.secure_channel import Address, SecureChannel
 from shaper.session import TAG_BYTES as PROTECTION_BYTES
 from shaper.trace import TraceFile
@@ -77,6 +80,7 @@ class Daemon:
         else:
             epoch, memory = self._journal.begin_life(), self._journal.memory
         self._identity = Identity(epoch, memory, bytes(TABLE_HASH_BYTES))
+        self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
         settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
         self.endpoint = Endpoint(
@@ -90,9 +94,12 @@ class Daemon:
             stack.callback(self._close_trace)
             if self._journal is not None:
                 stack.callback(self._journal.close)
+                stack.callback(self._on_handed_over)
             self._udp = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagrams)
             stack.callback(self._udp.close)
-            self._link = LinkEnd(self.endpoint, self._make_channel(self._udp.peer))
+            lost = self._config.operator_lost
+            watch = None if lost is None else OperatorWatch(lost, time.monotonic_ns())
+            self._link = LinkEnd(self.endpoint, self._make_channel(self._udp.peer), watch)
             session = await self._open_bus(stop)
             if session is None:  # asked to stop while the bus was not there yet
                 return
@@ -202,9 +209,7 @@ class Daemon:
             if capture_unix_ns is None:
                 capture_unix_ns = time.time_ns() - (event.age_ns or 0)
             stamp = Stamp(capture_unix_ns, event.number)
-            self._publish(event.key, event.payload, event.encoding, stamp.encode())
-            if event.on_handed_over is not None:
-                self._note_when_handed_over(event.on_handed_over)
+            self._deliver(event, stamp.encode())
         elif isinstance(event, PeerStarted):
             _log.info("the other side %s", "has started anew" if event.again else "is heard")
         elif isinstance(event, Receipt):
@@ -213,17 +218,45 @@ class Daemon:
             _log.warning("%s: %d %s: %s", event.key, event.count, event.what, event.reason)
             self._tell(f"encoding/{event.key}", asdict(event))
         elif isinstance(event, LinkState):
-            self._tell("link", asdict(event))
+            self._tell_link(event)
         elif isinstance(event, Notice):
             _log.log(logging.WARNING if event.kind.is_fault else logging.INFO, "%s", event.text)
             self._tell("notice", asdict(event))
+        elif isinstance(event, OperatorLost):
+            self._say_that_the_operator_is_lost(event)
+        elif isinstance(event, OperatorBack):
+            self._withdraw_operator_lost(event)
         elif isinstance(event, Wanted):
             self._inlet.ask(event.key, event.budget_bytes)
         if self._trace is not None:
             self._trace.write(event_record(event, time.monotonic_ns()))
 
+    def _deliver(self, event: Delivered, attachment: bytes) -> None:
+        """Publish a message. One that is on record must get there: it waits while the outlet is full."""
+        assert self._outlet is not None, "nothing comes in before the bus is open"
+        done = event.on_handed_over
+        if done is None:
+            self._outlet.publish(event.key, event.payload, event.encoding, attachment)
+            return
+
+        def on_put() -> None:  # in the outlet's thread
+            with contextlib.suppress(RuntimeError):  # the loop is closed: so is the journal
+                self._loop.call_soon_threadsafe(self._note_when_handed_over, done)
+
+        put = partial(self._outlet.publish, event.key, event.payload, event.encoding, attachment, on_put)
+        self._due_on_bus.append(put)
+        if len(self._due_on_bus) == 1:
+            self._put_what_is_due()
+
+    def _put_what_is_due(self) -> None:
+        while self._due_on_bus:
+            if not self._due_on_bus[0]():
+                self._loop.call_later(_HAND_OVER_S, self._put_what_is_due)
+                return
+            self._due_on_bus.popleft()
+
     def _note_when_handed_over(self, on_handed_over: Callable[[], None]) -> None:
-        """Zenoh sends in a thread of its own: what it was given a moment ago is on the bus by now."""
+        """Zenoh sends in a thread of its own: what it took a moment ago is on the bus by now."""
         if not self._delivered:
             self._loop.call_later(_HAND_OVER_S, self._on_handed_over)
         self._delivered.append(on_handed_over)
@@ -232,6 +265,37 @@ class Daemon:
         delivered, self._delivered = self._delivered, []
         for on_handed_over in delivered:
             on_handed_over()
+
+    def _say_that_the_operator_is_lost(self, event: OperatorLost) -> None:
+        settings = self._config.operator_lost
+        assert settings is not None, "who has not asked is not told"
+        if event.first:
+            silent_s = event.silent_ns / _NS_PER_S
+            _log.warning("the operator is lost: nothing for %.1f s; publishing %s", silent_s, settings.key)
+        self._publish(settings.key, settings.payload, settings.encoding, b"")
+
+    def _withdraw_operator_lost(self, event: OperatorBack) -> None:
+        settings = self._config.operator_lost
+        assert settings is not None and self._outlet is not None, "who has not asked is not told"
+        _log.info("the operator is back after %.1f s", event.silent_ns / _NS_PER_S)
+        if settings.back_payload is None:
+            self._outlet.withdraw(settings.key)
+        else:
+            self._publish(settings.key, settings.back_payload, settings.encoding, b"")
+
+    def _tell_link(self, state: LinkState) -> None:
+        now_ns = time.monotonic_ns()
+        watch, peer = self._link.watch, self._link.channel.peer_address
+        self._tell(
+            "link",
+            {
+                **asdict(state),
+                "secured": bool(self._keys) and self._link.channel.ready,
+                "peer": f"{peer[0]}:{peer[1]}",
+                "last_heard_age_ns": self._link.silence_ns(now_ns),
+                "operator_lost": watch is not None and watch.lost,
+            },
+        )
 
     # The trace.
 
@@ -247,6 +311,7 @@ class Daemon:
             self._say_whether_the_peer_is_heard(now_ns)
             record = ledger_record(self.endpoint, self._sends, now_ns)
             self._tell("ledger", record)
+            self._tell_link(self.endpoint.link_state())
             for key, (budget_bytes, period_ns) in self.endpoint.demands(now_ns).items():
                 self._tell(f"demand/{key}", {"budget_bytes": budget_bytes, "period_ns": period_ns})
             if self._trace is not None:

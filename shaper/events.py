@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Literal
 
 from shaper.notices import Notice
+from shaper.operator_lost import OperatorBack, OperatorLost
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,4 +109,14 @@ class LinkState:
     holding: bool
 
 
-Event = Delivered | Receipt | Wanted | EncodingTrouble | PeerStarted | LinkState | Notice
+Event = (
+    Delivered
+    | Receipt
+    | Wanted
+    | EncodingTrouble
+    | PeerStarted
+    | LinkState
+    | Notice
+    | OperatorLost
+    | OperatorBack
+)

@@ -6,12 +6,14 @@ bare endpoint: something happens, then `pump_link`, then wait.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 from shaper.endpoint import Endpoint
 from shaper.events import Event, Receipt
 from shaper.handshake import Identity
 from shaper.open_channel import OpenChannel
+from shaper.operator_lost import OperatorWatch
 from shaper.secure_channel import Address, Control, SecureChannel
 
 Channel = SecureChannel | OpenChannel
@@ -20,9 +22,11 @@ Channel = SecureChannel | OpenChannel
 class LinkEnd:
     """An endpoint and its channel, kept in step."""
 
-    def __init__(self, endpoint: Endpoint, channel: Channel) -> None:
+    def __init__(self, endpoint: Endpoint, channel: Channel, watch: OperatorWatch | None = None) -> None:
         self.endpoint = endpoint
         self.channel = channel
+        self.watch = watch
+        self._events: deque[Event] = deque()
         self._peer: Identity | None = None
 
     # What happens to it; messages are offered to the endpoint itself.
@@ -49,6 +53,7 @@ class LinkEnd:
 
     def next_datagram(self, now_ns: int) -> tuple[bytes, Address] | None:
         """The next datagram that may leave now, and where to; None if there is none."""
+        self._look_for_operator(now_ns)
         handshake = self.channel.next_handshake(now_ns)
         if handshake is not None:
             self.endpoint.on_channel_sent(len(handshake[0]), now_ns)
@@ -62,18 +67,23 @@ class LinkEnd:
 
     def next_event(self) -> Event | None:
         """The oldest event not handed over yet, or None."""
+        if self._events:
+            return self._events.popleft()
         if self.channel.notices:
             return self.channel.notices.popleft()
         return self.endpoint.next_event()
 
     def wakeup_at_ns(self, now_ns: int) -> int:
         """When something falls due or may leave, if nothing happens before."""
-        channel_ns = self.channel.wakeup_at_ns()
-        if not self.channel.ready:
-            assert channel_ns is not None, "a channel that is not ready is about to try again"
-            return channel_ns
-        endpoint_ns = self.endpoint.wakeup_at_ns(now_ns)
-        return endpoint_ns if channel_ns is None else min(channel_ns, endpoint_ns)
+        due_ns = [self.channel.wakeup_at_ns(), self.watch.wakeup_at_ns() if self.watch else None]
+        if self.channel.ready:
+            due_ns.append(self.endpoint.wakeup_at_ns(now_ns))
+        return min(at_ns for at_ns in due_ns if at_ns is not None)
+
+    def silence_ns(self, now_ns: int) -> int | None:
+        """For how long nothing authentic has come from the peer; None if nothing ever has."""
+        heard_ns = self.channel.last_heard_ns
+        return None if heard_ns is None else now_ns - heard_ns
 
     def counters_dict(self) -> dict[str, int]:
         """Datagrams and drops of both."""
@@ -84,6 +94,11 @@ class LinkEnd:
         if peer is not None and peer != self._peer:
             self._peer = peer
             self.endpoint.on_peer_authenticated(peer.epoch, peer.memory, now_ns)
+
+    def _look_for_operator(self, now_ns: int) -> None:
+        event = None if self.watch is None else self.watch.look(self.channel.last_heard_ns, now_ns)
+        if event is not None:
+            self._events.append(event)
 
     def _on_control(self, payload: bytes, now_ns: int) -> None:
         """What the peer's channel says; an empty payload only proves that it is there."""

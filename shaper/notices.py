@@ -19,17 +19,13 @@ class NoticeKind(StrEnum):
     TABLE_DIFFERS = "table_differs"
     PATH_MTU = "path_mtu"
     MESSAGES_LOST = "messages_lost"
-    OPERATOR_LOST = "operator_lost"
-    OPERATOR_BACK = "operator_back"
 
     @property
     def is_fault(self) -> bool:
         return self not in _NEWS
 
 
-_NEWS = frozenset(
-    {NoticeKind.SECURED, NoticeKind.PEER_MOVED, NoticeKind.TABLE_AGREES, NoticeKind.OPERATOR_BACK}
-)
+_NEWS = frozenset({NoticeKind.SECURED, NoticeKind.PEER_MOVED, NoticeKind.TABLE_AGREES})
 
 
 @dataclass(frozen=True, slots=True)

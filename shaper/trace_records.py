@@ -8,6 +8,7 @@ from typing import Literal
 from shaper.endpoint import Endpoint
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.notices import Notice
+from shaper.operator_lost import OperatorBack, OperatorLost
 
 Record = dict[str, object]
 Direction = Literal["down", "up"]
@@ -60,6 +61,10 @@ def event_record(event: Event, t_ns: int) -> Record:
             }
         case PeerStarted():
             return {"event": "peer_started", "t_ns": t_ns, "epoch": event.epoch, "again": event.again}
+        case OperatorLost(silent_ns):
+            return {"event": "operator_lost", "t_ns": t_ns, "silent_ns": silent_ns}
+        case OperatorBack(silent_ns):
+            return {"event": "operator_back", "t_ns": t_ns, "silent_ns": silent_ns}
         case Notice(kind, text):
             return {"event": "notice", "t_ns": t_ns, "kind": kind.value, "text": text}
 

@@ -18,6 +18,7 @@ from shaper.link_end import LinkEnd, pump_link
 from shaper.link_estimator import PresetBands
 from shaper.link_key import LinkKey, make_link_key
 from shaper.notices import Notice, NoticeKind
+from shaper.operator_lost import OperatorLostSettings, OperatorWatch
 from shaper.secure_channel import Address, SecureChannel
 from tests.shaper.pair import FAST, MS, RULES, UNIX_NS, S
 
@@ -78,8 +79,10 @@ class SecuredPair:
         seed: int = 1,
         limits: Limits | None = None,
         journals: bool = False,
+        operator_lost: OperatorLostSettings | None = None,
     ) -> None:
         self.now_ns = 0
+        self.operator_lost = operator_lost
         self.delay_ns = delay_ns
         self.limits = limits or Limits()
         self.rng = random.Random(seed)
@@ -109,7 +112,8 @@ class SecuredPair:
         channel = SecureChannel(host.side, host.keys, identity, peer, self.rng.randbytes, now_ns, unix_ns)
         settings = EndpointSettings(RULES, limits=self.limits, protection_bytes=channel.overhead_bytes)
         endpoint = Endpoint(settings, PresetBands((FAST,)), identity.epoch, now_ns, unix_ns, host.journal)
-        host.link = LinkEnd(endpoint, channel)
+        lost = self.operator_lost if host is self.robot else None
+        host.link = LinkEnd(endpoint, channel, None if lost is None else OperatorWatch(lost, now_ns))
         host.events.clear()
         host.wakeup_ns = self.now_ns
 

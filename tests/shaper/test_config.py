@@ -279,7 +279,7 @@ def test_a_mistake_is_told_by_file_field_value_and_expectation(
 @pytest.mark.parametrize(
     ("section", "field", "known"),
     [
-        ("", "speed", "link, zenoh, classes, tiers, metrics, topics, limits"),
+        ("", "speed", "link, zenoh, classes, tiers, metrics, operator_lost, topics, limits"),
         ("[link]", "link.speed", "side, listen, peer, max_datagram_bytes, pace_ratio, bands, accept"),
         ("[[link.bands]]", "link.bands[0].speed", "name, rate_bps, one_way_delay_ms"),
         ("[zenoh]", "zenoh.speed", "mode, listen, connect, config"),
