@@ -13,7 +13,8 @@ from messages.entropy import RangeDecoder, RangeEncoder, Spread
 
 _CALM_SCALE = (60, 12, 4, 2, 2, 1, 1, 1)  # of a lane that stood still, by for how long
 _ALONE_SCALE = 320  # without any history
-_BACK = 3  # messages before the reference over which its speed is taken, if the receiver holds one
+_BACK = 3  # messages before the reference over which its speed is taken at most, if the receiver has one
+_LEAD = 4  # messages
 _SAME_BITS = 4  # a choice stays what it was in 1 - 2^-4 of messages, less often changed the longer it stood
 _MAX_SCALE = 1 << 28
 
@@ -85,20 +86,22 @@ class Expectation:
             return before, self._corrected(_ALONE_SCALE), False
         least = greatest = last = back = before
         travelled = 0
+        reach = 1 + min(_BACK - 1, distance // 4)
         span = gap_back = 1
         for gap, sample in history:
             value = sample.lanes[at]
             travelled += abs(value - last)
             least, greatest, last, span = min(least, value), max(greatest, value), value, gap
-            if gap <= _BACK or back is before:
+            if gap <= reach or back is before:
                 back, gap_back = value, gap
         if least == greatest:
             return before, _CALM_SCALE[self._known.reference.calm[at]], True
         speed = before - back
         near = abs(before - history[0][1].lanes[at])
         extent = distance * HISTORY * (3 * (greatest - least) + 18 * travelled) // (32 * span)
-        scale = 18 + extent + 5 * near + 2 * abs(speed)
-        ahead = abs(speed) * distance * 9 // (32 * gap_back)
+        scale = 18 + extent + 4 * near + 2 * abs(speed)
+        # A motion goes on for some messages and then elsewhere: never further than _LEAD at this speed.
+        ahead = abs(speed) * distance * _LEAD // ((_LEAD + distance) * gap_back)
         expected = before + (ahead if speed > 0 else -ahead)
         return max(0, min(lane.count - 1, expected)), self._corrected(scale), False
 

@@ -226,7 +226,7 @@ class _Plan:
             offset = codec.offset if isinstance(codec, SteppedNumber) else 0
             steps, limits = codec.range.steps, codec.range.limits(field.path, treatment, offset)
             return self._pair(
-                limits.wire, _from_step(steps.value, offset), LaneKind.NUMBER, steps.count + offset
+                limits.wire, _from_step(steps.value, offset), _kind(steps.count), steps.count + offset
             )
         if isinstance(wire, OwnWire) and isinstance(wire.codec, Moment):
             moment = wire.codec
@@ -243,7 +243,7 @@ class _Plan:
             return self._pair(
                 number.wire,
                 lambda lane, now_ns: number.value(lane),
-                LaneKind.NUMBER,
+                _kind(wire.numeric.greatest_wire),
                 wire.numeric.greatest_wire + 1,
             )
         if isinstance(wire, TimeWire):
@@ -291,6 +291,11 @@ class _Plan:
 
     def _unsuitable(self, field: Field, why: str) -> SchemaError:
         return SchemaError(f"{self._name}: {field.path} {why}, of which no differences can be taken")
+
+
+def _kind(count: int) -> LaneKind:
+    """A number of so many steps is a time or a counter: it goes on at its rate, whatever its bounds."""
+    return LaneKind.CIRCLE if count > 1 << 32 else LaneKind.NUMBER
 
 
 def _from_step(value: Callable[[int], float], offset: int) -> Callable[[int, int | None], float | None]:

@@ -306,6 +306,6 @@ def test_the_bytes_are_these() -> None:
 GOLDEN: list[str] = [
     "037ac31a9dc033c3bf1f56548d17976ef7d731d8c6641c6f36bde181",
     "1f4f377762a0915d9a6da38bfc866034b05b",
-    "1e78189624006301334b770d8f",
-    "1ad1a3774f6c68f41312a05a8c",
+    "1e77d0aa70c3288da9f369",
+    "1acce0183faded8606d67d",
 ]
