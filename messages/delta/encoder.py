@@ -23,8 +23,9 @@ class DeltaEncoder(Generic[M]):
     """Encodes a stream of messages of one type. No I/O, no clock, no memory beyond WINDOW messages.
 
     codec: what quantises the messages, and decides what happens to values out of range.
-    check_bits: what the check has at least, 0 to 24. It guards against a receiver that holds another
-    message under a number than was sent (after a restart that nobody noticed); it fails to once in 2^bits.
+    check_bits: of the check, 0 to 24. It guards against a receiver that holds another message under a
+    number than was sent (after a restart that nobody noticed), and fails to at most once in 2^check_bits;
+    measured once in ten times as many, as the slack of the last byte is checked too.
     """
 
     def __init__(self, codec: Codec[M], *, check_bits: int = CHECK_BITS) -> None:

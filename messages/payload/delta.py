@@ -11,6 +11,9 @@ from messages.delta import DeltaDecoder, DeltaEncoder
 from messages.payload.bounded import BoundedEncoding, OutOfRange, PayloadMap
 from messages.payload.topic_encoding import Encoded, Payload, PayloadError
 
+# The link authenticates what comes and knows of restarts: what is left to check is our own mistakes.
+CHECK_BITS = 4
+
 
 class DeltaEncoding(BoundedEncoding):
     """A bounded encoding whose topics are streams; each has a writer on one side and a reader on the other.
@@ -45,7 +48,7 @@ class DeltaWriter:
 
     def __init__(self, encoding: DeltaEncoding) -> None:
         self._encoding = encoding
-        self._deltas = DeltaEncoder(encoding.codec)
+        self._deltas = DeltaEncoder(encoding.codec, check_bits=CHECK_BITS)
 
     def encode(self, payload: Payload, number: int) -> Encoded:
         """The payload as a bounded message against the newest that has arrived."""
@@ -70,7 +73,7 @@ class DeltaReader:
 
     def __init__(self, encoding: DeltaEncoding) -> None:
         self._encoding = encoding
-        self._deltas = DeltaDecoder(encoding.codec)
+        self._deltas = DeltaDecoder(encoding.codec, check_bits=CHECK_BITS)
 
     def decode(
         self, data: bytes, number: int, bus_type: str, max_bytes: int, capture_unix_ns: int | None
