@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import pytest
 
 from messages.payload import Encoded, Payload, PayloadError, TopicEncoding
+from shaper.encoding_table import encoded_topics, encodings_hash, unreadable
 from shaper.events import Delivered, EncodingTrouble
 from shaper.frames import MessageFrame
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
@@ -170,3 +171,20 @@ def test_the_type_on_the_wire_names_the_encoding_and_can_be_split_again() -> Non
     assert split_wire_type(wire_type(None, TYPE)) == ("", TYPE)
     assert split_wire_type("straitlink/") == ("", "")
     assert digest != split_wire_type(wire_type(replace(Halving(), description="x"), TYPE))[0]
+
+
+def test_two_sides_can_compare_what_one_sends_with_what_the_other_reads() -> None:
+    one, other = Halving(), Halving("another schema")
+    rules = [
+        TopicRule(key, DEFAULT_CLASSES["state"], encoding=encoding)
+        for key, encoding in (("robot/a", one), ("robot/b", other), ("robot/c", None))
+    ]
+    topics = encoded_topics(rules)
+    assert [(t.key_expression, t.description) for t in topics] == [
+        ("robot/a", "halving"),
+        ("robot/b", "another schema"),
+    ]
+    assert unreadable(topics, by_digest([one, other])) == ()
+    assert [t.key_expression for t in unreadable(topics, by_digest([one]))] == ["robot/b"]
+    assert encodings_hash(by_digest([one, other])) == encodings_hash(by_digest([other, one]))
+    assert encodings_hash(by_digest([one])) != encodings_hash(by_digest([other]))
