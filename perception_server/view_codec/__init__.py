@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from .cloud import CloudView, decode_cloud, encode_cloud
 from .codec_id import CodecId, codec_of
+from .draco import encode_draco
 from .errors import DecodeError, EncodeError, ViewCodecError
+from .image import encode_image
 from .jpeg import pack_jpeg, unpack_jpeg
 from .map_codec import MapView, decode_map, encode_map, warm_up
 from .octree import OctreeView, decode_octree, encode_octree
@@ -26,6 +28,8 @@ __all__ = [
     "decode_map",
     "decode_octree",
     "encode_cloud",
+    "encode_draco",
+    "encode_image",
     "encode_map",
     "encode_octree",
     "pack_jpeg",

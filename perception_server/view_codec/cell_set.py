@@ -7,6 +7,7 @@ import struct
 import numpy as np
 
 from .codec_id import CodecId
+from .compiled import IS_COMPILED
 from .errors import DecodeError, EncodeError
 from .occupancy import MAX_CELLS, MAX_DEPTH, Cells, cells_of, codes_from_bytes, codes_of, levels_of
 from .occupancy_context import MAX_NODES, decode_occupancy, encode_occupancy
@@ -16,7 +17,8 @@ _SIZE = struct.Struct(">BI")  # levels below the root; cells
 
 
 def encode_cells(cells: Cells, plain: CodecId, small: CodecId, header: bytes, wish: CodecId | None) -> bytes:
-    """A message: codec, header, cells; under `wish`, or under the smaller of the two.
+    """A message: codec, header, cells; under `wish`, or under the smaller of the two; without Numba
+    under the plain one, as the other would take a hundred times as long.
 
     An index is below 2**MAX_DEPTH. Raises EncodeError for more than MAX_CELLS, and for more nodes than
     the wished codec takes.
@@ -28,8 +30,9 @@ def encode_cells(cells: Cells, plain: CodecId, small: CodecId, header: bytes, wi
     levels = levels_of(codes, depth)
     size = _SIZE.pack(depth, len(codes))
     messages = []
-    if wish is not plain and (coded := encode_occupancy(levels)) is not None:
-        messages.append(bytes([small]) + header + size + coded)
+    if wish is small or (wish is None and IS_COMPILED):
+        coded = encode_occupancy(levels)
+        messages += [bytes([small]) + header + size + coded] if coded is not None else []
     if wish is small and not messages:
         raise EncodeError(f"{sum(map(len, levels))} nodes are above {MAX_NODES}, which {small.name} takes")
     if wish is not small:

@@ -9,7 +9,7 @@ there were no restart markers, as OpenCV and libjpeg write by default. What is n
 from __future__ import annotations
 
 from .codec_id import CodecId, codec_of
-from .compiled import Ints
+from .compiled import IS_COMPILED, Ints
 from .errors import DecodeError, EncodeError
 from .jpeg_context import decode_coefficients, encode_coefficients
 from .jpeg_file import (
@@ -43,9 +43,9 @@ _HEADER_LENGTH_BYTES = 3
 def pack_jpeg(jpeg: bytes, *, codec: CodecId | None = None) -> bytes:
     """The smallest message that `unpack_jpeg` turns into a JPEG of the same pixels.
 
-    codec: IMAGE_JPEG_CONTEXT; IMAGE_JPEG (Huffman-coded still: the operator only puts the tables back);
-    IMAGE_FILE (as it is); None for the smallest. A file that is no sound baseline JPEG, or too large for
-    its codec, travels as it is.
+    codec: IMAGE_JPEG_CONTEXT (small); IMAGE_JPEG (Huffman-coded still: the operator only puts the tables
+    back); IMAGE_FILE (as it is); None for the smallest, without Numba the smallest of the latter two. A
+    file that is no sound baseline JPEG, or too large for its codec, travels as it is.
     Raises EncodeError for an empty or too large file and for a codec of another product.
     """
     if not 0 < len(jpeg) <= MAX_FILE_BYTES:
@@ -63,7 +63,7 @@ def pack_jpeg(jpeg: bytes, *, codec: CodecId | None = None) -> bytes:
     except (NotBaselineError, UnsoundTableError, UnsoundScanError):
         return unchanged
     messages = [unchanged]
-    if codec is not CodecId.IMAGE_JPEG:
+    if codec is CodecId.IMAGE_JPEG_CONTEXT or (codec is None and IS_COMPILED):
         messages += _context_coded(file, coefficients)
     if len(messages) == 1:
         messages.append(_huffman_coded(file, coefficients))
