@@ -44,6 +44,7 @@ from shaper.link_estimator import LinkEstimator
 from shaper.outgoing import Opportunity, Outgoing
 from shaper.pacer import NS_PER_S
 from shaper.path import Content, Path
+from shaper.path_mtu import PathMtu
 from shaper.promise import PROMISES_NS
 from shaper.queues import Payload, TopicQueue
 from shaper.settled import Settled
@@ -112,7 +113,7 @@ class Endpoint:
         self.received_ledgers: dict[str, ReceivedLedger] = {}
         self._settings = settings
         self._outer_bytes = IP_UDP_BYTES + settings.protection_bytes
-        self._max_datagram_bytes = settings.max_datagram_bytes
+        self.path_mtu = PathMtu(settings.max_datagram_bytes)
         self._epoch = epoch
         self._estimator = estimator
         self._unix_minus_monotonic_ns = unix_ns - now_ns
@@ -222,7 +223,7 @@ class Endpoint:
                 out,
                 Opportunity(
                     limit_bytes=(probe_bytes or self._datagram_bytes()) - self._outer_bytes,
-                    max_bytes=self._max_datagram_bytes - self._settings.protection_bytes,
+                    max_bytes=self._settings.max_datagram_bytes - self._settings.protection_bytes,
                     rate_bps=estimator.rate_bps,
                     loss_ratio=self._path.loss_ratio,
                     now_ns=now_ns,
@@ -380,6 +381,8 @@ class Endpoint:
     def _seal(
         self, out: bytearray, now_ns: int, contents: tuple[Content, ...], *, elicits_report: bool
     ) -> bytes:
+        sized = self.path_mtu.watch(len(out) + self._settings.protection_bytes)
+        contents = contents if sized is None else (*contents, sized)
         packet = self._path.on_sent(len(out) + self._outer_bytes, now_ns, contents)
         self._estimator.pacer.on_sent(packet.wire_bytes, now_ns)
         self._estimator.on_sent(packet, now_ns)
@@ -418,7 +421,7 @@ class Endpoint:
         return self._timers.report_due_ns(self._incoming, self._report_interval_ns(idle=idle))
 
     def _datagram_bytes(self) -> int:
-        return min(self._estimator.datagram_bytes, self._max_datagram_bytes + IP_UDP_BYTES)
+        return min(self._estimator.datagram_bytes, self.path_mtu.size_bytes + IP_UDP_BYTES)
 
     def _tell_estimate(self) -> None:
         if self._estimator.rate_bps != self._told_bps:

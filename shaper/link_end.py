@@ -9,7 +9,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from shaper.channel_control import (
+    CONTROL_OVERHEAD_BYTES,
+    PASSED,
+    PROBE,
+    decode_passed,
+    encode_passed,
+    encode_probe,
+)
 from shaper.endpoint import Endpoint
+from shaper.errors import DecodeError
 from shaper.events import Event, Receipt
 from shaper.handshake import Identity
 from shaper.open_channel import OpenChannel
@@ -18,6 +27,8 @@ from shaper.secure_channel import Address, Control, SecureChannel
 
 Channel = SecureChannel | OpenChannel
 
+_MAX_CONTROL = 8
+
 
 class LinkEnd:
     """An endpoint and its channel, kept in step."""
@@ -25,8 +36,10 @@ class LinkEnd:
     def __init__(self, endpoint: Endpoint, channel: Channel, watch: OperatorWatch | None = None) -> None:
         self.endpoint = endpoint
         self.channel = channel
+        endpoint.path_mtu.can_probe = channel.has_control
         self.watch = watch
         self._events: deque[Event] = deque()
+        self._control: deque[bytes] = deque(maxlen=_MAX_CONTROL)  # of a flood of questions some get no answer
         self._peer: Identity | None = None
 
     # What happens to it; messages are offered to the endpoint itself.
@@ -60,6 +73,11 @@ class LinkEnd:
             return handshake
         if not self.channel.ready:
             return None
+        control = self._next_control(now_ns)
+        if control is not None:
+            sealed = self.channel.seal_control(control)
+            self.endpoint.on_channel_sent(len(sealed), now_ns)
+            return sealed, self.channel.peer_address
         datagram = self.endpoint.next_datagram(now_ns)
         if datagram is None:
             return None
@@ -69,8 +87,9 @@ class LinkEnd:
         """The oldest event not handed over yet, or None."""
         if self._events:
             return self._events.popleft()
-        if self.channel.notices:
-            return self.channel.notices.popleft()
+        for notices in (self.channel.notices, self.endpoint.path_mtu.notices):
+            if notices:
+                return notices.popleft()
         return self.endpoint.next_event()
 
     def wakeup_at_ns(self, now_ns: int) -> int:
@@ -78,6 +97,7 @@ class LinkEnd:
         due_ns = [self.channel.wakeup_at_ns(), self.watch.wakeup_at_ns() if self.watch else None]
         if self.channel.ready:
             due_ns.append(self.endpoint.wakeup_at_ns(now_ns))
+            due_ns.append(self.endpoint.path_mtu.wakeup_at_ns() if self.channel.has_control else None)
         return min(at_ns for at_ns in due_ns if at_ns is not None)
 
     def silence_ns(self, now_ns: int) -> int | None:
@@ -100,8 +120,25 @@ class LinkEnd:
         if event is not None:
             self._events.append(event)
 
+    def _next_control(self, now_ns: int) -> bytes | None:
+        if not self.channel.has_control:
+            return None
+        if self._control:
+            return self._control.popleft()
+        probe_bytes = self.endpoint.path_mtu.next_probe(now_ns)
+        return None if probe_bytes is None else encode_probe(probe_bytes)
+
     def _on_control(self, payload: bytes, now_ns: int) -> None:
         """What the peer's channel says; an empty payload only proves that it is there."""
+        if not payload:
+            return
+        try:
+            if payload[0] == PROBE:
+                self._control.append(encode_passed(len(payload) + CONTROL_OVERHEAD_BYTES))
+            elif payload[0] == PASSED:
+                self.endpoint.path_mtu.on_probe_arrived(decode_passed(payload), now_ns)
+        except DecodeError:
+            self.endpoint.counters.malformed += 1
 
 
 def pump_link(

@@ -13,6 +13,7 @@ class OpenChannel:
     """Takes what comes from the configured address, and nothing from any other."""
 
     overhead_bytes = 0
+    has_control = False
     ready = True
     peer: Identity | None = None
 

@@ -89,6 +89,7 @@ class SecureChannel:
     """
 
     overhead_bytes = TAG_BYTES
+    has_control = True
 
     def __init__(
         self,

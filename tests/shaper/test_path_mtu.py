@@ -1,0 +1,84 @@
+"""Large datagrams that vanish are noticed, sizes fall back, and rise again when the path allows it."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from shaper.notices import NoticeKind
+from shaper.path_mtu import FLOOR_BYTES, PathMtu
+from tests.shaper.pair import MS, S
+from tests.shaper.secured import SecuredPair
+
+
+def send_pictures(pair: SecuredPair, count: int) -> None:
+    for i in range(count):
+        pair.offer(pair.robot, "robot/plan/a", bytes([i % 256]) * 5000)
+        pair.offer(pair.robot, "robot/state/a", b"x")
+        pair.advance(500 * MS)
+
+
+@pytest.mark.parametrize("mtu_bytes", [1100, 900, 600])
+def test_a_black_hole_is_noticed_and_the_largest_size_that_passes_is_found(mtu_bytes: int) -> None:
+    pair = SecuredPair()
+    pair.advance(2 * S)
+    send_pictures(pair, 4)
+    assert len(pair.operator.payloads) == 8
+    pair.loses = lambda data, to: len(data) > mtu_bytes
+    send_pictures(pair, 20)
+    pair.advance(40 * S)
+    mtu = pair.robot.link.endpoint.path_mtu
+    assert max(FLOOR_BYTES, mtu_bytes - 24) <= mtu.size_bytes <= mtu_bytes
+    assert sum(len(p) == 5000 for p in pair.operator.payloads) == 24
+    (text, *_) = pair.robot.notices(NoticeKind.PATH_MTU)
+    assert "link.max_datagram_bytes" in text
+
+
+def test_the_configured_size_comes_back_when_the_path_is_mended() -> None:
+    pair = SecuredPair()
+    pair.advance(2 * S)
+    pair.loses = lambda data, to: len(data) > 700
+    send_pictures(pair, 20)
+    pair.advance(60 * S)
+    assert pair.robot.link.endpoint.path_mtu.size_bytes <= 700
+    pair.loses = lambda data, to: False
+    pair.advance(200 * S)
+    assert pair.robot.link.endpoint.path_mtu.size_bytes == 1200
+
+
+@pytest.mark.parametrize("loss", [0.02, 0.1, 0.3])
+def test_random_loss_is_not_taken_for_a_black_hole_for_long(loss: float) -> None:
+    pair = SecuredPair()
+    pair.advance(2 * S)
+    rng = random.Random(4)
+    pair.loses = lambda data, to: rng.random() < loss
+    small = 0
+    for _ in range(100):
+        send_pictures(pair, 1)
+        small += pair.robot.link.endpoint.path_mtu.size_bytes < 1200
+    assert small <= 15
+
+
+def test_probing_costs_little_and_ends() -> None:
+    mtu = PathMtu(1200)
+    for _ in range(6):
+        mtu.on_lost(1200)
+    for _ in range(2):
+        mtu.on_arrived(100)
+    assert mtu.size_bytes == FLOOR_BYTES
+    now_ns, sent = 0, []
+    while now_ns < 3600 * S:
+        size = mtu.next_probe(now_ns)
+        if size is not None:
+            sent.append(size)
+        now_ns = max(now_ns + 1, mtu.wakeup_at_ns() or now_ns + S)
+    assert len(sent) < 150  # nothing larger than the floor ever passes: a probe every 24 s or so
+    assert mtu.size_bytes == FLOOR_BYTES
+
+
+def test_a_thin_path_that_loses_everything_is_no_black_hole() -> None:
+    mtu = PathMtu(1200)
+    for _ in range(50):
+        mtu.on_lost(1200)
+    assert mtu.size_bytes == 1200
