@@ -10,6 +10,7 @@ MODULES = (
     "bench.scale",
     "bench.soak",
     "bench.codec",
+    "bench.view_codec",
     "bench.delta",
     "bench.ingest",
     "bench.live_mission",

@@ -17,6 +17,7 @@ from .map_filters import closed, denoised
 from .map_header import (
     HEADER_BYTES,
     MAX_CELLS,
+    MAX_CONTEXT_CELLS,
     MAX_SIDE,
     MapFlag,
     MapHeader,
@@ -69,7 +70,7 @@ def encode_map(
 
     values: (rows, columns) float32 metres; what is not finite is a hole. Quantised to `max_error_m`, or
     over its own range to `bits` (8, the paper's, if neither is given). codec: "zlib", "serpentine" or
-    "context"; None takes the smaller of the last two, or the serpentine where Numba is not installed.
+    "context"; None takes the smaller of the last two, or the serpentine without Numba or above 65,536 cells.
     denoise: a bilateral filter first. close_gaps: the reader fills gaps of one or two cells and marks
     them. Raises EncodeError for a map or a wish that cannot be carried.
     """
@@ -135,9 +136,15 @@ def warm_up() -> None:
 def _smallest(codec: CodecId | None, cells: Codes, used: NDArray[np.bool_] | None) -> tuple[CodecId, bytes]:
     """A codec and its stream. Where context mixing takes less than a bit a cell, the map repeats itself,
     and the serpentine, which looks for repetition, may take even less."""
+    is_large = cells.codes.size > MAX_CONTEXT_CELLS
+    if codec is CodecId.MAP_CONTEXT and is_large:
+        raise EncodeError(
+            f"a map of {cells.codes.size} cells is too large for context mixing: "
+            f"the most is {MAX_CONTEXT_CELLS}"
+        )
     if codec is not None:
         return codec, _encode_cells(codec, cells, used)
-    if not IS_COMPILED:
+    if is_large or not IS_COMPILED:
         return CodecId.MAP_SERPENTINE, _encode_cells(CodecId.MAP_SERPENTINE, cells, used)
     stream = _encode_cells(CodecId.MAP_CONTEXT, cells, used)
     if 8 * len(stream) < np.count_nonzero(cells.valid):

@@ -11,7 +11,7 @@ from .compiled import Ints, compiled, ints
 from .context_mixing import FRESH, TABLES, Tables, learned
 from .errors import DecodeError
 from .hole_mask import code_hole_mask
-from .map_header import MapFlag, MapHeader
+from .map_header import MAX_CONTEXT_CELLS, MapFlag, MapHeader
 from .palette import from_ranks, to_ranks
 from .quantisation import HOLE, Codes
 
@@ -36,6 +36,8 @@ def encode_cells(cells: Codes, used: NDArray[np.bool_] | None) -> bytes:
 
 def decode_cells(stream: bytes, header: MapHeader) -> NDArray[np.int64]:
     """(rows, columns) codes. Raises DecodeError."""
+    if header.rows * header.columns > MAX_CONTEXT_CELLS:
+        raise DecodeError(f"{header.rows} x {header.columns} cells are more than {MAX_CONTEXT_CELLS}")
     coder, data = decoder(stream)
     valid = code_hole_mask(coder, data, None, header.rows, header.columns)
     if not valid.any():

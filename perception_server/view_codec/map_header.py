@@ -11,6 +11,7 @@ from .codec_id import CodecId
 from .errors import DecodeError
 
 MAX_CELLS = 1 << 17  # 362 x 362; bounds what a message of a few bytes can make a reader compute
+MAX_CONTEXT_CELLS = 1 << 16  # where each cell may cost 8 µs: half a second of noise at 16 bits
 MAX_SIDE = 4096
 MAX_LEVELS = 65535  # 65535 itself is a hole where holes have a code
 _HEADER = struct.Struct("<BBHHHfff")

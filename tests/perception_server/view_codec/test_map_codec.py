@@ -174,6 +174,15 @@ def test_what_is_no_map_is_refused(values: MapArray) -> None:
         encode_map(values)
 
 
+def test_a_large_map_takes_the_serpentine() -> None:
+    values = np.zeros((300, 300), np.float32)
+    assert encode_map(values, bits=8)[0] == 0x11
+    with pytest.raises(EncodeError, match="90000 cells is too large"):
+        encode_map(values, bits=8, codec="context")
+    with pytest.raises(DecodeError, match="300 x 300 cells are more than 65536"):
+        decode_map(b"\x12" + encode_map(values, bits=8)[1:])
+
+
 def decoded_or_refused(data: bytes) -> None:
     try:
         view = decode_map(data)
