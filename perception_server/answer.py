@@ -100,6 +100,18 @@ def look(wish: ViewWish, history: HistorySnapshot) -> Scene:
     return Scene(points, header)
 
 
+def newest_data_ns(wish: ViewWish, history: HistorySnapshot) -> int:
+    """Capture time of the newest data of the wish's source. Raises NoDataError."""
+    if wish.source == ViewRequest.SOURCE_STEREO:
+        newest_ns = max((each.capture_ns for each in history.disparities), default=0)
+    else:
+        views = [view for view in _blocks(wish, history) if view.stop > view.first]
+        newest_ns = max((int(view.block.end_ns[view.first : view.stop].max()) for view in views), default=0)
+    if newest_ns == 0:
+        raise NoDataError(f"{ViewRequest.Source.Name(wish.source)} has not been seen yet")
+    return newest_ns
+
+
 def _blocks(wish: ViewWish, history: HistorySnapshot) -> tuple[BlockView, ...]:
     return history.clouds if wish.source == ViewRequest.SOURCE_CLOUD else history.scans
 
@@ -107,14 +119,9 @@ def _blocks(wish: ViewWish, history: HistorySnapshot) -> tuple[BlockView, ...]:
 def _window(wish: ViewWish, views: tuple[BlockView, ...], history: HistorySnapshot) -> Window:
     if wish.time_mode == ViewRequest.TIME_MODE_ABSOLUTE:
         return Window(*wish.absolute_ns)
-    if wish.source == ViewRequest.SOURCE_STEREO:
-        newest_ns = max((d.capture_ns for d in history.disparities), default=0)
-    else:
-        newest_ns = max((int(v.block.end_ns[v.stop - 1]) for v in views if v.stop > v.first), default=0)
-    if newest_ns == 0:
-        raise NoDataError(f"{ViewRequest.Source.Name(wish.source)} has not been seen yet")
-    swept = latest_sweep(views) if wish.source not in _WITHOUT_SWEEP else None
+    newest_ns = newest_data_ns(wish, history)
     if wish.time_mode == ViewRequest.TIME_MODE_LATEST_SWEEP:
+        swept = latest_sweep(views) if wish.source not in _WITHOUT_SWEEP else None
         return swept or Window(newest_ns, newest_ns)
     end_ns = newest_ns - wish.age_ns
     return Window(end_ns - wish.window_ns, end_ns)

@@ -15,6 +15,7 @@ from perception_server.bus_messages import request_from_fields
 from perception_server.dispatch import Request, Stream
 from perception_server.errors import RequestError
 from perception_server.history import HistoryLimits
+from perception_server.scan_geometry import ScanPlacement, SelfBox
 from perception_server.sensors import check_request
 from shaper.bus import BusSettings
 from shaper.config import describe_validation_error
@@ -64,14 +65,37 @@ class HistoryTable(_Table):
     max_pose_gap_s: Annotated[float, Field(ge=0.001, le=60)] = _LIMITS.max_pose_gap_s
 
 
+Metres3 = tuple[float, float, float]
+
+
+class SelfBoxTable(_Table):
+    """[[frames.self_boxes]]: a part of the robot; returns inside it are left out. Corners in its frame."""
+
+    frame: str
+    low_m: Metres3
+    high_m: Metres3
+
+
+class FramesTable(_Table):
+    """[frames]: world is the fixed frame; the spindle's turning is told against sweep_frame ("": world)."""
+
+    world: str = "map"
+    sweep_frame: str = ""
+    self_boxes: list[SelfBoxTable] = []
+
+
 class InputTable(_Table):
     """[inputs.NAME]: a sensor's topic; requests know it as NAME.
 
     type: "foxglove.LaserScan", "sensor_msgs/msg/Image", ...: where its publisher does not say.
+    mirror_period_s: of a scanner whose messages do not say when each beam was taken; else it is taken from
+    the scans' stamps. static: transforms that hold at all times, as on keys that end in tf_static.
     """
 
     key: str
     type: str = ""
+    mirror_period_s: Annotated[float, Field(gt=0, le=60)] | None = None
+    static: bool = False
 
     @field_validator("key")
     @classmethod
@@ -100,6 +124,7 @@ class PerceptionTable(_Table):
     zenoh: ZenohTable
     server: ServerTable = ServerTable()
     history: HistoryTable = HistoryTable()
+    frames: FramesTable = FramesTable()
     inputs: Annotated[dict[str, InputTable], Field(min_length=1)]
     views: dict[str, ViewTable] = {}
 
@@ -108,6 +133,8 @@ TABLES: dict[str, type[BaseModel]] = {
     "zenoh": ZenohTable,
     "server": ServerTable,
     "history": HistoryTable,
+    "frames": FramesTable,
+    "frames.self_boxes": SelfBoxTable,
     "inputs": InputTable,
     "views": ViewTable,
 }
@@ -129,6 +156,9 @@ class PerceptionConfig:
     bus: BusSettings
     server: ServerTable
     limits: HistoryLimits
+    placement: ScanPlacement
+    mirror_period_s: Mapping[str, float]
+    static_sources: frozenset[str]
     inputs: tuple[Input, ...]
     streams: tuple[Stream, ...]
     foxglove_keys: frozenset[str]
@@ -161,12 +191,20 @@ def _from_table(table: PerceptionTable, path: Path) -> PerceptionConfig:
         BusSettings(zenoh.listen, zenoh.connect, zenoh.mode, zenoh.config),
         table.server,
         limits,
+        _placement(table.frames),
+        {name: each.mirror_period_s for name, each in table.inputs.items() if each.mirror_period_s},
+        frozenset(n for n, each in table.inputs.items() if each.static or each.key.endswith("tf_static")),
         tuple(Input(name, each.key, each.type) for name, each in table.inputs.items()),
         streams,
         frozenset(
             key for key, view in zip(keys, table.views.values(), strict=True) if view.form == "foxglove"
         ),
     )
+
+
+def _placement(table: FramesTable) -> ScanPlacement:
+    boxes = tuple(SelfBox(each.frame, each.low_m, each.high_m) for each in table.self_boxes)
+    return ScanPlacement(table.world, table.sweep_frame, boxes)
 
 
 def _stream(path: Path, name: str, view: ViewTable, table: PerceptionTable) -> Stream:

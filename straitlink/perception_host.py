@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from messages.proto.straitlink.view_pb2 import Image
 from perception_server.dispatch import Reply
+from perception_server.geometry_inputs import GeometryInputs, ScanTiming
 from perception_server.image_file import base_as_compressed_image
 from perception_server.sensors import SensorHistory
 from perception_server.service import PerceptionService, ServiceSettings
@@ -21,7 +22,12 @@ def serve_views(
     config: PerceptionConfig, stop: threading.Event, on_open: Callable[[], None] = lambda: None
 ) -> dict[str, int]:
     """Serve until `stop` is set; what was counted on the way. Raises BusError."""
-    sensors = SensorHistory({each.key: each.name for each in config.inputs}, config.limits)
+    sensors = SensorHistory(
+        {each.key: each.name for each in config.inputs},
+        config.limits,
+        config.placement,
+        GeometryInputs(ScanTiming(config.mirror_period_s), config.static_sources),
+    )
     settings = ServiceSettings(
         inputs=[each.key for each in config.inputs],
         streams=config.streams,
@@ -38,7 +44,7 @@ def serve_views(
         service.close()
     finally:
         session.close()
-    return dict(sensors.counters)
+    return {**sensors.counters, **sensors.history_counters}
 
 
 def as_foxglove(reply: Reply) -> tuple[bytes, str]:
