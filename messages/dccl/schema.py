@@ -32,6 +32,17 @@ from messages.dccl.numeric import clog2
 from messages.dccl.options import FieldOptions, MessageOptions, field_options, root_options
 from messages.dccl.wire_choice import CodecName, bind_wire, codec_name
 
+# Methods that the compiled code calls; a field of the same name hides them.
+_METHODS = (
+    "CopyFrom",
+    "FindInitializationErrors",
+    "HasField",
+    "IsInitialized",
+    "ListFields",
+    "SetInParent",
+    "WhichOneof",
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Schema:
@@ -256,6 +267,10 @@ class _Builder:
 
     def _check(self, declared: FieldDescriptor, options: FieldOptions, part: Part) -> None:
         name = declared.full_name
+        if declared.name in _METHODS:
+            raise SchemaError(
+                f"{name} hides the method of that name of protobuf's messages; rename the field"
+            )
         if declared.message_type is not None and declared.message_type.GetOptions().map_entry:
             raise SchemaError(f"{name} is a map, which has no order on the wire; use a repeated message")
         if options.conditions is not None and self._version < 3:

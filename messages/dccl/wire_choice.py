@@ -152,13 +152,13 @@ def _number(field: FieldDescriptor, options: FieldOptions, is_required: bool) ->
     low, high = options.minimum, options.maximum
     if low is None or high is None:
         _fail(field, "a number needs (dccl.field).min and (dccl.field).max")
-    if not low <= high:
+    if low > high:
         _fail(field, f"min = {low:g} exceeds max = {high:g}")
     if options.precision is not None and options.resolution is not None:
         _fail(field, "precision and resolution exclude each other")
     resolution = _resolution(field, options, 0.0)
     type_low, type_high = type_bounds(number_type)
-    if low < type_low or high > type_high or math.isinf(low) or math.isinf(high):
+    if not (type_low <= low <= high <= type_high and math.isfinite(low) and math.isfinite(high)):
         _fail(field, f"min = {low:g} and max = {high:g} must be values of {number_type}")
     if (high - low) / resolution > _MAX_STEPS:
         _fail(field, f"{low:g} to {high:g} in steps of {resolution:g} are more than 2^53 values")

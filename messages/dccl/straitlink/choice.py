@@ -55,19 +55,29 @@ def _range(field: FieldDescriptor, options: FieldOptions, number_type: NumberTyp
     if low is None or high is None:
         _fail(field, "a number needs (dccl.field).min and (dccl.field).max")
     if not low <= high:
-        _fail(field, f"min = {low} exceeds max = {high}")
+        _fail(field, f"min = {_show(low)} exceeds max = {_show(high)}")
     resolution = _resolution(field, options, low, high)
     type_low, type_high = type_bounds(number_type)
     if low < type_low or high > type_high:
-        _fail(field, f"min = {low} and max = {high} must be values of {number_type}")
+        bounds = f"min = {_show(low)} and max = {_show(high)}"
+        _fail(
+            field,
+            f"{bounds} must be values of {number_type}; state large ones as text, in [straitlink.exact]",
+        )
     if (high - low) / resolution > MAX_COUNT - 1:
-        _fail(field, f"{low} to {high} in steps of {resolution} are more than 2^64 values")
+        _fail(
+            field, f"{_show(low)} to {_show(high)} in steps of {_show(resolution)} are more than 2^64 values"
+        )
     is_integer = number_type not in _PRECISION_BITS
     if is_integer:
         if any(x.denominator != 1 for x in (low, high, resolution)):
-            _fail(field, f"min = {low}, max = {high} and resolution = {resolution} must be integers")
+            numbers = f"min = {_show(low)}, max = {_show(high)} and resolution = {_show(resolution)}"
+            _fail(field, f"{numbers} must be integers")
     elif max(abs(low), abs(high)) > resolution * 2 ** (_PRECISION_BITS[number_type] - 2):
-        _fail(field, f"resolution = {resolution} is finer than a {number_type} can tell apart at its bounds")
+        _fail(
+            field,
+            f"resolution = {_show(resolution)} is finer than a {number_type} can tell apart at its bounds",
+        )
     steps = Steps(low, high, resolution, is_integer)
     if is_integer:
         return Range(field.full_name, steps, int(low), int(high))
@@ -102,7 +112,7 @@ def _resolution(field: FieldDescriptor, options: FieldOptions, low: Fraction, hi
     if resolution is None:
         return Fraction(1)
     if resolution <= 0:
-        _fail(field, f"the resolution = {resolution} must be greater than 0")
+        _fail(field, f"the resolution = {_show(resolution)} must be greater than 0")
     return resolution
 
 
@@ -164,16 +174,28 @@ def _moment(
         _fail(field, "a time needs max: its window in the field's unit; and no min")
     resolution = _resolution(field, options, Fraction(0), window)
     if (window / resolution).denominator != 1 or not 2 <= window / resolution <= MAX_COUNT:
-        _fail(field, f"the window = {window} must be 2 to 2^64 times the resolution = {resolution}")
+        _fail(
+            field,
+            f"the window = {_show(window)} must be 2 to 2^64 times the resolution = {_show(resolution)}",
+        )
     if is_integer and resolution.denominator != 1:
-        _fail(field, f"the resolution = {resolution} must be an integer, as the field is")
+        _fail(field, f"the resolution = {_show(resolution)} must be an integer, as the field is")
     # 2^31 s is 2038; a double holds steps of 1 us then.
     if not is_integer and resolution < Fraction(1, 10**6) * per_second:
-        _fail(field, f"the resolution = {resolution} is finer than a double of seconds can hold: use int64")
+        _fail(
+            field,
+            f"the resolution = {_show(resolution)} is finer than a double of seconds can hold: use int64",
+        )
     low, high = (0, 2**64 - 1) if number_type == "uint64" else (-(2**63), 2**63 - 1)
     return Moment(
         field.full_name, resolution, int(window / resolution), per_second, is_integer, low, high, is_required
     )
+
+
+def _show(number: Fraction) -> str:
+    """As it may stand in a .proto, or rounded where that is long."""
+    text = str(number)
+    return text if len(text) <= 24 else f"{float(number):g}"
 
 
 def _fail(field: FieldDescriptor, what: str) -> NoReturn:

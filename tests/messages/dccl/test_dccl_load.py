@@ -19,6 +19,8 @@ BAD: list[tuple[str, list[Declared], dict[str, Any], list[str]]] = [
     ("no bounds", [Declared("x", "double")], {}, ["test.T.x", "min"]),
     ("no max", [Declared("x", "double", options={"min": 0})], {}, ["test.T.x", "max"]),
     ("crossed bounds", [number("x", 3, 2)], {}, ["test.T.x", "min = 3", "max = 2"]),
+    ("NaN bound", [number("x", float("nan"), 2)], {}, ["test.T.x", "values of double"]),
+    ("hidden method", [number("HasField", 0, 2)], {}, ["test.T.HasField", "rename the field"]),
     ("both steps", [number("x", 0, 1, precision=1, resolution=0.1)], {}, ["precision", "resolution"]),
     ("negative step", [number("x", 0, 1, resolution=-0.1)], {}, ["-0.1", "greater than 0"]),
     ("odd bounds", [number("x", 0, 1.05, resolution=0.1)], {}, ["max = 1.05", "multiple", "0.1"]),
