@@ -87,12 +87,12 @@ class Expectation:
         least = greatest = last = back = before
         travelled = 0
         reach = 1 + min(_BACK - 1, distance // 4)
-        span = gap_back = 1
+        span = gap_back = 0
         for gap, sample in history:
             value = sample.lanes[at]
             travelled += abs(value - last)
             least, greatest, last, span = min(least, value), max(greatest, value), value, gap
-            if gap <= reach or back is before:
+            if gap <= reach or gap_back == 0:
                 back, gap_back = value, gap
         if least == greatest:
             return before, _CALM_SCALE[self._known.reference.calm[at]], True
