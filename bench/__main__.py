@@ -11,6 +11,7 @@ MODULES = (
     "bench.soak",
     "bench.codec",
     "bench.view_codec",
+    "bench.encodings",
     "bench.delta",
     "bench.ingest",
     "bench.live_mission",

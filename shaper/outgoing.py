@@ -24,7 +24,7 @@ from shaper.scheduler import Scheduler
 from shaper.shared_state import ChangesQueue
 from shaper.stream_queue import StreamQueue
 from shaper.traffic_class import Keep, TopicRule, first_match
-from shaper.wire_type import wire_type
+from shaper.wire_type import WIRE_TYPE_BYTES
 
 MAX_NAME_BYTES = 160  # key and encoding of a topic: they must fit the smallest datagram beside a part
 _MIN_PART_BYTES = 48  # a smaller part of a message costs more in headers than it fills of a datagram
@@ -91,7 +91,7 @@ class Outgoing:
             queue = self._open(key)
         if queue is None:
             return False
-        name_bytes = _name_bytes(key, wire_type(queue.rule.encoding, encoding))
+        name_bytes = _name_bytes(key, encoding) + (WIRE_TYPE_BYTES if queue.rule.encoding else 0)
         if len(payload) > self._max_message_bytes or name_bytes > MAX_NAME_BYTES:
             self.refused += 1
             queue.ledger.offered += 1

@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from messages.payload import TopicEncoding, digest_of
+from messages.payload.topic_encoding import DIGEST_BYTES
 
 _PREFIX = "straitlink/"
+WIRE_TYPE_BYTES = len(_PREFIX) + 2 * DIGEST_BYTES + 1  # what an encoding adds to a topic's name
 
 Encodings = Mapping[str, TopicEncoding]  # by digest
 

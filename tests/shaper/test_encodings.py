@@ -12,7 +12,7 @@ from shaper.events import Delivered, EncodingTrouble
 from shaper.frames import MessageFrame
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
 from shaper.trouble import REPEAT_NS
-from shaper.wire_type import by_digest, split_wire_type, wire_type
+from shaper.wire_type import WIRE_TYPE_BYTES, by_digest, split_wire_type, wire_type
 from tests.shaper.pair import MS, RULES, Pair, S, Side
 
 JOINTS, COMMAND = "robot/state/joints", "robot/command/arm"
@@ -168,6 +168,7 @@ def test_the_type_on_the_wire_names_the_encoding_and_can_be_split_again() -> Non
     digest, bus_type = split_wire_type(named)
     assert (len(digest), bus_type) == (16, TYPE)
     assert by_digest([Halving()]).keys() == {digest}
+    assert len(named) - len(TYPE) == WIRE_TYPE_BYTES
     assert split_wire_type(wire_type(None, TYPE)) == ("", TYPE)
     assert split_wire_type("straitlink/") == ("", "")
     assert digest != split_wire_type(wire_type(replace(Halving(), description="x"), TYPE))[0]
