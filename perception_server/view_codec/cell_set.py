@@ -13,7 +13,7 @@ from .occupancy import MAX_CELLS, MAX_DEPTH, Cells, cells_of, codes_from_bytes, 
 from .occupancy_context import MAX_NODES, decode_occupancy, encode_occupancy
 from .zstd_frame import read_zstd_frame, zstd_frame
 
-_SIZE = struct.Struct(">BI")  # levels below the root; cells
+_SIZE = struct.Struct("<BI")  # levels below the root; cells
 
 
 def encode_cells(cells: Cells, plain: CodecId, small: CodecId, header: bytes, wish: CodecId | None) -> bytes:

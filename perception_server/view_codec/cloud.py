@@ -21,8 +21,8 @@ from .finite_points import finite_points
 from .occupancy import MAX_CELLS, MAX_DEPTH, Cells
 
 Points = NDArray[np.float32]
-_LATTICE = struct.Struct(">3fff")  # origin x, y, z; step; achieved maximum error: metres
-_COUNTED = struct.Struct(">BI")  # of the zlib codec: bytes an axis; points
+_LATTICE = struct.Struct("<3fff")  # origin x, y, z; step; achieved maximum error: metres
+_COUNTED = struct.Struct("<BI")  # of the zlib codec: bytes an axis; points
 _WIDTHS = (1, 2, 4)
 _LEAST_STEP_M = float(np.finfo(np.float32).tiny)
 _ROUNDING = 1 - 2.0**-20  # room for a step's rounding to 32 bits
@@ -168,7 +168,7 @@ def _zlib_coded(cells: Cells) -> bytes:
     if len(cells) > MAX_CELLS:
         raise EncodeError(f"{len(cells)} points are above {MAX_CELLS}: crop, or thin them out")
     width = next(width for width in _WIDTHS if cells.max(initial=0) < 1 << 8 * width)
-    return _COUNTED.pack(width, len(cells)) + zlib.compress(cells.astype(f">u{width}").tobytes(), 9)
+    return _COUNTED.pack(width, len(cells)) + zlib.compress(cells.astype(f"<u{width}").tobytes(), 9)
 
 
 def _zlib_decoded(data: bytes) -> Cells:
@@ -184,4 +184,4 @@ def _zlib_decoded(data: bytes) -> Cells:
         raise DecodeError(f"the zlib stream is unsound: {error}") from None
     if len(content) != size or not reader.eof or reader.unused_data:
         raise DecodeError(f"the zlib stream does not hold exactly {count} points")
-    return np.frombuffer(content, f">u{width}").astype(np.int64).reshape(-1, 3)
+    return np.frombuffer(content, f"<u{width}").astype(np.int64).reshape(-1, 3)

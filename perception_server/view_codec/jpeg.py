@@ -133,14 +133,14 @@ def _fitted_tables(coefficients: Ints, layout: Ints) -> HuffmanTables:
 def _packed_header(file: JpegFile) -> bytes:
     """A form byte, then quality, width and height of a plain header, or the header with its length."""
     frame = file.frame
-    size = frame.width.to_bytes(2, "big") + frame.height.to_bytes(2, "big")
+    size = frame.width.to_bytes(2, "little") + frame.height.to_bytes(2, "little")
     first = frame.components[0]
     sampling = None if len(frame.components) == 1 else (first.across, first.down)
     if sampling in _SAMPLINGS:
         for quality in range(1, 101):
             if plain_header(frame.width, frame.height, sampling, quality) == file.header:
                 return bytes([_SAMPLINGS.index(sampling), quality]) + size
-    return bytes([_GIVEN_HEADER]) + len(file.header).to_bytes(_HEADER_LENGTH_BYTES, "big") + file.header
+    return bytes([_GIVEN_HEADER]) + len(file.header).to_bytes(_HEADER_LENGTH_BYTES, "little") + file.header
 
 
 def _unpacked_header(data: bytes) -> tuple[bytes, JpegFrame, int]:
@@ -148,12 +148,12 @@ def _unpacked_header(data: bytes) -> tuple[bytes, JpegFrame, int]:
     form = data[1] if len(data) > 1 else 0
     sampling, position = form & 7, 2 + _HEADER_LENGTH_BYTES
     if sampling == _GIVEN_HEADER:
-        position += int.from_bytes(data[2:position], "big")
+        position += int.from_bytes(data[2:position], "little")
         header = data[2 + _HEADER_LENGTH_BYTES : position]
     else:
         position = 7
-        quality, width = int.from_bytes(data[2:3], "big"), int.from_bytes(data[3:5], "big")
-        height = int.from_bytes(data[5:7], "big")
+        quality, width = int.from_bytes(data[2:3], "little"), int.from_bytes(data[3:5], "little")
+        height = int.from_bytes(data[5:7], "little")
         if sampling >= len(_SAMPLINGS) or not 1 <= quality <= 100:
             raise DecodeError(f"a JPEG of sampling {sampling} and quality {quality} is unknown")
         header = plain_header(width, height, _SAMPLINGS[sampling], quality)

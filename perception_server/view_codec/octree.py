@@ -16,7 +16,7 @@ from .occupancy import MAX_DEPTH, Cells
 
 MAX_KEY = (1 << 30) - 1
 MAX_LEAF_M = 1e20
-_GRID = struct.Struct(">d3i")  # leaf edge in metres; smallest key along x, y, z
+_GRID = struct.Struct("<d3i")  # leaf edge in metres; smallest key along x, y, z
 _CODECS = (CodecId.OCTREE_ZSTD, CodecId.OCTREE_CONTEXT)
 
 

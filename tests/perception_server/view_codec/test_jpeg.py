@@ -195,7 +195,7 @@ def test_a_restart_marker_that_hides_a_large_step_of_brightness_does_no_harm() -
 @example(bytes([CodecId.IMAGE_JPEG, 7, 255, 255, 255]))
 @example(bytes([CodecId.CLOUD_ZSTD, 0]))
 def test_hostile_bytes_are_an_error_or_a_file(data: bytes) -> None:
-    coded = bytes([CodecId.IMAGE_JPEG_CONTEXT, 3, 50, 0, 40, 0, 24]) + data
+    coded = bytes([CodecId.IMAGE_JPEG_CONTEXT, 3, 50, 40, 0, 24, 0]) + data
     for message in (data, bytes([CodecId.IMAGE_JPEG]) + data, coded):
         try:
             assert isinstance(unpack_jpeg(message), bytes)
