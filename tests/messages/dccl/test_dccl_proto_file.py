@@ -66,3 +66,17 @@ def test_imports_are_found_in_the_folders_given(tmp_path: Path) -> None:
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(SchemaError, match=r"none\.proto: no such \.proto file"):
         load_proto(tmp_path / "none.proto")
+
+
+def test_the_example_of_straitlink_1_in_the_documentation_loads_and_costs_what_it_says(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("grpc_tools")
+    text = (Path(__file__).resolve().parents[3] / "docs" / "dccl.md").read_text()
+    example = text.split("```proto\n")[1].split("```")[0]
+    path = tmp_path / "state.proto"
+    path.write_text(f'syntax = "proto2";\n{example}')
+    codec = Codec(load_proto(path)["State"])
+    bits = {row.path: row.max_bits for row in codec.info().fields}
+    assert (bits["stamp_us"], bits["turn"], bits["knee"], bits["finger"]) == (16, 36, 12, 60)
+    assert "straitlink.adaptive.1" in {row.codec for row in codec.info().fields}
