@@ -20,6 +20,7 @@ import tomlkit
 from mcap.reader import make_reader
 
 from netem_scripts.profiles import load_profile
+from perception_server.geometry_inputs import GeometryInputs
 from shaper.bus import BusSettings
 from straitlink.demo.children import Children
 from straitlink.demo.configs import Addresses, free_addresses, write_configs
@@ -28,6 +29,7 @@ from straitlink.replay import topic_key
 from straitlink.request_client import RequestSettings, request_view
 from straitlink.request_words import request_of
 from straitlink.saved_view import describe, save_view
+from straitlink.schemas import PayloadType, zenoh_encoding
 
 _CAMERAS = ("CompressedImage", "RawImage", "Image")
 _LIDAR = ("LaserScan", "PointCloud2", "PointCloud")
@@ -66,7 +68,7 @@ def chain(log: Path, out: Path, profile_name: str):  # type: ignore[no-untyped-d
     addresses, profile = free_addresses(), load_profile(profile_name)
     write_configs(out, addresses, profile, ())
     inputs = inputs_of(log)
-    _write_views(out, addresses, inputs)
+    _write_views(out, addresses, inputs, frames_of(log)[0])
     with Children(out) as children:
         for name, endpoint in (("robot-bus", addresses.robot_bus), ("operator-bus", addresses.operator_bus)):
             child = children.start(name, ["bus", "--listen", endpoint])
@@ -99,7 +101,23 @@ def inputs_of(log: Path) -> dict[str, str]:
     return found
 
 
-def _write_views(out: Path, addresses: Addresses, inputs: dict[str, str]) -> None:
+def frames_of(log: Path) -> tuple[str, set[str]]:
+    """The root of the log's tree of frames, "map" where there is none, and all frames."""
+    reader, parents, children = GeometryInputs(), dict[str, None](), set[str]()
+    with log.open("rb") as stream:
+        for number, (schema, channel, message) in enumerate(make_reader(stream).iter_messages()):
+            kind = "" if schema is None else schema.name
+            if kind.rpartition("/")[2].rpartition(".")[2] in _POSES:
+                encoding = zenoh_encoding(PayloadType(channel.message_encoding, kind))
+                for each in reader.decode(channel.topic, encoding, message.data) or ():
+                    parents[each.parent] = None
+                    children.add(each.child)
+            if number > 20_000:
+                break
+    return next((name for name in parents if name not in children), "map"), children
+
+
+def _write_views(out: Path, addresses: Addresses, inputs: dict[str, str], world: str) -> None:
     """The robot's shaper pulls views; nothing of the log itself crosses."""
     path = out / "robot.toml"
     robot = tomlkit.parse(path.read_text())
@@ -108,6 +126,7 @@ def _write_views(out: Path, addresses: Addresses, inputs: dict[str, str]) -> Non
     path.write_text(tomlkit.dumps(robot))
     document = {
         "zenoh": {"connect": [addresses.robot_bus]},
+        "frames": {"world": world},
         "inputs": {name: {"key": key} for name, key in inputs.items()},
     }
     (out / "perception.toml").write_text(tomlkit.dumps(document))
@@ -146,6 +165,9 @@ def main() -> None:
     kinds = inputs_of(arguments.log)
     fitting = [*(IMAGE_REQUESTS if "head" in kinds else ())]
     fitting += LIDAR_REQUESTS if any("scan" in key or "cloud" in key for key in kinds.values()) else ()
+    world, frames = frames_of(arguments.log)
+    if "head" not in frames:  # the presets stand at the head
+        fitting = [words + f" frame_id={world}" if words in LIDAR_REQUESTS else words for words in fitting]
     requests = arguments.requests or fitting
     outcomes = run(arguments.log, arguments.out, arguments.profile, requests, arguments.settle)
     if arguments.json:

@@ -38,7 +38,7 @@ class SensorHistory:
 
     sources: by key, the name under which requests know a sensor. Times in the history are the messages'
     own; the bus's differ where a log is replayed, and a log that repeats empties the history each time it
-    begins anew.
+    begins anew. encodings: by key, of publishers that do not say theirs.
     """
 
     def __init__(
@@ -47,9 +47,11 @@ class SensorHistory:
         limits: HistoryLimits | None = None,
         placement: ScanPlacement | None = None,
         inputs: GeometryInputs | None = None,
+        encodings: Mapping[str, str] | None = None,
     ) -> None:
         self.counters: Counter[str] = Counter()
         self._sources = sources
+        self._encodings = encodings or {}
         self._limits = limits or HistoryLimits()
         self._placement = placement or ScanPlacement()
         self._inputs = inputs or GeometryInputs()
@@ -60,6 +62,7 @@ class SensorHistory:
     def take(self, key: str, encoding: str, payload: bytes, capture_ns: int, now_ns: int) -> None:
         """A sensor's message; one that cannot be read is counted. capture_ns: by the bus's clock."""
         source = self._sources.get(key, key)
+        encoding = self._encodings.get(key, encoding)
         try:
             geometry = self._inputs.decode(source, encoding, payload)
             item = geometry if geometry is not None else decode_camera_message(source, encoding, payload)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import threading
 import time
 from collections import deque
@@ -13,7 +14,12 @@ from typing import Protocol, TypeVar
 import zenoh
 
 from messages.attachment import Stamp, decode_stamp
-from messages.proto.straitlink.view_pb2 import VIEW_STATUS_RENDERED, ImageRequest, ViewRequest
+from messages.proto.straitlink.view_pb2 import (
+    VIEW_STATUS_NO_DATA,
+    VIEW_STATUS_RENDERED,
+    ImageRequest,
+    ViewRequest,
+)
 from perception_server.bus_messages import (
     RequestType,
     fields_of,
@@ -22,7 +28,7 @@ from perception_server.bus_messages import (
     request_from_fields,
     status_document,
 )
-from perception_server.dispatch import Dispatcher, Job, Reply, Request, Stream, wish_of
+from perception_server.dispatch import Dispatcher, Job, Reply, Request, Stream, empty_reply, wish_of
 from perception_server.errors import RequestError
 from perception_server.receipts import Left
 from perception_server.request_status import Stage, Status
@@ -30,6 +36,7 @@ from perception_server.request_status import Stage, Status
 QUERY_KEYS: dict[str, RequestType] = {"perception/view": ViewRequest, "perception/image": ImageRequest}
 STATUS_KEY = "@straitlink/view"
 _RECEIPTS = "@straitlink/receipt/**"
+_log = logging.getLogger(__name__)
 A = TypeVar("A")
 B = TypeVar("B")
 _IDLE_S = 1.0
@@ -239,7 +246,7 @@ class PerceptionService:
         if job.reply is not None:
             reply, source_ns, capture_ns = job.reply, 0, time.time_ns()
         else:
-            reply, source_ns, capture_ns = self._sensors.answer(job.request, job.budget_bytes)
+            reply, source_ns, capture_ns = self._answer(job)
         with self._lock:
             left = self._dispatcher.finish(job, reply, source_ns, time.monotonic_ns())
             if left is None:
@@ -253,6 +260,13 @@ class PerceptionService:
                 entry = Left(job.request.request_id, job.key, wish, size, source_ns)
                 self._dispatcher.receipts.on_left(entry, stamp.capture_ns, stamp.sequence)
         self._leave(job, query, left, stamp)
+
+    def _answer(self, job: Job) -> tuple[Reply, int, int]:
+        try:
+            return self._sensors.answer(job.request, job.budget_bytes)
+        except Exception:  # one view that breaks something must not take the others with it
+            _log.exception("a view could not be rendered: %s", str(job.request).replace("\n", ", "))
+            return empty_reply(job.request, VIEW_STATUS_NO_DATA, "the server could not render it"), 0, 0
 
     def _leave(self, job: Job, query: zenoh.Query | None, reply: Reply, stamp: Stamp) -> None:
         if query is not None:

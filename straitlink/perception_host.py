@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 
@@ -12,9 +13,11 @@ from perception_server.image_file import base_as_compressed_image
 from perception_server.sensors import SensorHistory
 from perception_server.service import PerceptionService, ServiceSettings
 from perception_server.view_codec import DecodeError
+from perception_server.warm_up import warm_up
 from shaper.bus import open_bus
 from straitlink.perception_config import PerceptionConfig
 
+_log = logging.getLogger(__name__)
 _FOXGLOVE_IMAGE = "application/protobuf;foxglove.CompressedImage"
 
 
@@ -27,6 +30,7 @@ def serve_views(
         config.limits,
         config.placement,
         GeometryInputs(ScanTiming(config.mirror_period_s), config.static_sources),
+        {each.key: _encoding(each.type) for each in config.inputs if each.type},
     )
     settings = ServiceSettings(
         inputs=[each.key for each in config.inputs],
@@ -40,11 +44,25 @@ def serve_views(
     try:
         service = PerceptionService(session, settings, sensors)
         on_open()
+        threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
         stop.wait()
         service.close()
     finally:
         session.close()
     return {**sensors.counters, **sensors.history_counters}
+
+
+def _warm_up() -> None:
+    """Meanwhile, so that pictures leave at once and no operator waits for what is compiled at first use."""
+    try:
+        warm_up()
+    except RuntimeError:
+        _log.exception("views of geometry may be wrong or late")
+
+
+def _encoding(type_name: str) -> str:
+    """As Zenoh has it: ROS 2's types have slashes."""
+    return f"application/{'cdr' if '/' in type_name else 'protobuf'};{type_name}"
 
 
 def as_foxglove(reply: Reply) -> tuple[bytes, str]:

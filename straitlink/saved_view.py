@@ -5,17 +5,20 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from messages.proto.straitlink.view_pb2 import VIEW_STATUS_RENDERED, Image
+from messages.proto.straitlink.view_pb2 import VIEW_STATUS_RENDERED, Image, ViewRequest
+from perception_server.decode import DecodedView, decode_view_message
 from perception_server.dispatch import Reply
 from perception_server.errors import PerceptionError
 from perception_server.fisheye import Picture
 from perception_server.foveation import Compositor, received_image
 from perception_server.image_file import png
 from perception_server.picture_file import decode_picture, plain_file
+from perception_server.view_picture import ply, view_picture
 
 
 class SaveError(PerceptionError):
@@ -35,7 +38,12 @@ def describe(reply: Reply) -> str:
             f"chip {c.region.width_px}x{c.region.height_px} at quality {c.quality}" for c in reply.chips
         ]
         return ", ".join(parts) + (", coarsened to fit" if reply.coarsened else "")
-    return f"view: {size_bytes} bytes"
+    name = ViewRequest.Format.Name(reply.format).removeprefix("FORMAT_").lower().replace("_", " ")
+    parts = [f"{name}: {size_bytes} bytes", f"{reply.point_count} points of {reply.source_count} sources"]
+    if reply.resolution_m:
+        parts.append(f"{reply.resolution_m * 1000:.0f} mm cells")
+    parts.append(f"error at most {reply.max_error_m * 1000:.1f} mm")
+    return ", ".join(parts) + (", coarsened to fit" if reply.coarsened else "")
 
 
 def save_view(reply: Reply, path: Path) -> None:
@@ -46,7 +54,10 @@ def save_view(reply: Reply, path: Path) -> None:
             raise SaveError(f"{path}: an image can be saved as {', '.join(_IMAGE_WRITERS)}")
         path.write_bytes(write(reply))
         return
-    raise SaveError(f"{path}: not yet")
+    draw = _VIEW_WRITERS.get(path.suffix.lower())
+    if draw is None:
+        raise SaveError(f"{path}: a view can be saved as {', '.join(_VIEW_WRITERS)}")
+    path.write_bytes(draw(decode_view_message(reply)))
 
 
 def _seen(image: Image) -> Picture:
@@ -87,6 +98,26 @@ def _image_arrays(image: Image) -> bytes:
     return buffer.getvalue()
 
 
+def _view_arrays(view: DecodedView) -> bytes:
+    buffer = io.BytesIO()
+    arrays: dict[str, Any] = {
+        "world_points_m": view.world_points_m,
+        "world_from_view": view.world_from_view,
+        "max_error_m": np.float64(view.max_error_m),
+        "newest_ns": np.int64(view.header.newest_ns),
+        "world_frame_id": np.array(view.header.world_frame_id),
+    }
+    if view.values is not None:
+        arrays["values_m"] = view.values
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+_VIEW_WRITERS: dict[str, Callable[[DecodedView], bytes]] = {
+    ".png": lambda view: png(view_picture(view)),
+    ".npz": _view_arrays,
+    ".ply": ply,
+}
 _IMAGE_WRITERS: dict[str, Callable[[Image], bytes]] = {
     ".png": lambda image: png(_seen(image)),
     ".jpg": _jpeg,

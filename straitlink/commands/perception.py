@@ -22,9 +22,8 @@ def perception(
     settings = load_perception_config(config)
 
     def say_open() -> None:
-        typer.echo(
-            f"perception: open, {len(settings.inputs)} inputs, {len(settings.streams)} views", err=True
-        )
+        counts = f"{len(settings.inputs)} inputs, {len(settings.streams)} views"
+        typer.echo(f"perception: open, {counts}", err=True)
 
     for what, count in serve_views(settings, stop_on_signals(), say_open).items():
         typer.echo(f"perception: {what}: {count}", err=True)

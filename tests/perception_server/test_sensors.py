@@ -101,6 +101,12 @@ def test_a_calibration_belongs_to_the_frames_of_its_optical_frame() -> None:
     assert reply.status == VIEW_STATUS_RENDERED and reply.width_px == 80
 
 
+def test_a_publisher_that_does_not_say_its_type_has_it_from_the_configuration() -> None:
+    known = SensorHistory({KEY: "head"}, encodings={KEY: FOXGLOVE})
+    known.take(KEY, "zenoh/bytes", compressed(0, 100 * S), BUS_NS, 0)
+    assert answer(known)[1] == 100 * S
+
+
 @pytest.mark.parametrize(
     ("encoding", "payload"),
     [
