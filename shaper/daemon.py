@@ -15,13 +15,14 @@ from functools import partial
 from pathlib import Path
 
 from messages.attachment import Stamp, decode_stamp
+from shaper.agreement import make_table
 from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
 from shaper.endpoint import Endpoint
 from shaper.errors import ConfigError
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
-from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity
+from shaper.handshake import MEMORY_BYTES, Identity
 from shaper.journal_file import JournalFile
 from shaper.key_file import read_key_file
 from shaper.link_end import Channel, LinkEnd, pump_link
@@ -33,6 +34,7 @@ from shaper.open_channel import OpenChannel
 from shaper.operator_lost import OperatorBack, OperatorLost, OperatorWatch
 from shaper.secure_channel import Address, SecureChannel
 from shaper.session import TAG_BYTES as PROTECTION_BYTES
+from shaper.table_exchange import TableExchange
 from shaper.trace import TraceFile
 from shaper.trace_records import (
     LEDGER_INTERVAL_NS,
@@ -79,7 +81,9 @@ class Daemon:
             epoch, memory = secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES)
         else:
             epoch, memory = self._journal.begin_life(), self._journal.memory
-        self._identity = Identity(epoch, memory, bytes(TABLE_HASH_BYTES))
+        endpoint = config.endpoint
+        self._tables = TableExchange(make_table(endpoint.rules, endpoint.accept, endpoint.encodings))
+        self._identity = Identity(epoch, memory, self._tables.hash)
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
         settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
@@ -99,7 +103,7 @@ class Daemon:
             stack.callback(self._udp.close)
             lost = self._config.operator_lost
             watch = None if lost is None else OperatorWatch(lost, time.monotonic_ns())
-            self._link = LinkEnd(self.endpoint, self._make_channel(self._udp.peer), watch)
+            self._link = LinkEnd(self.endpoint, self._make_channel(self._udp.peer), watch, self._tables)
             session = await self._open_bus(stop)
             if session is None:  # asked to stop while the bus was not there yet
                 return

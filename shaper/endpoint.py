@@ -123,6 +123,7 @@ class Endpoint:
         self._journal = journal
         self._settled: Settled | None = None
         self._vouched_epoch: int | None = None
+        self._refused_here: tuple[str, ...] = ()
         self._peer_memory = b"" if journal is None else journal.peer_memory
         self._ledgers = LedgerExchange(epoch)
         self._incoming: Incoming | None = None
@@ -183,6 +184,13 @@ class Endpoint:
             if self._incoming is None and not remembers:
                 self._outgoing.on_peer_restarted()  # what was left of a former life of ours
             self._meet_peer(epoch, now_ns, remembers=remembers)
+
+    def refuse(self, here: tuple[str, ...], there: tuple[str, ...]) -> None:
+        """The two sides do not mean these topics alike: key expressions of the peer's, and of ours."""
+        self._refused_here = here
+        self._outgoing.refuse(there)
+        if self._incoming is not None:
+            self._incoming.refuse(here)
 
     def on_channel_sent(self, datagram_bytes: int, now_ns: int) -> None:
         """The channel has sent something of its own: it takes its part of the link too."""
@@ -505,6 +513,7 @@ class Endpoint:
                 self._events.append,
                 self._settled,
             )
+            self._incoming.refuse(self._refused_here)
         self._timers.on_peer_met(now_ns)
         self._events.append(PeerStarted(epoch, again))
         return self._incoming

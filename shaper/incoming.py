@@ -100,6 +100,7 @@ class Incoming:
         self.unknown_topics = 0
         self._limits = limits
         self._accept = accept
+        self._refused: tuple[str, ...] = ()
         self._ledgers = ledgers
         self._encodings = encodings
         self._streams: Streams = {}
@@ -118,6 +119,16 @@ class Incoming:
         self._reassembler = Reassembler(
             limits.max_reassembly_bytes, limits.max_message_bytes, limits.max_reassembly_wait_ns
         )
+
+    def refuse(self, key_expressions: tuple[str, ...]) -> None:
+        """Take nothing more of these, and of what was refused before whatever is not among them."""
+        self._refused = key_expressions
+        for topic_id, topic in self._topics.items():
+            self._topics[topic_id] = replace(topic, accepted=self._accepts(topic.name.key))
+
+    def _accepts(self, key: str) -> bool:
+        refused = any(matches(expression, key) for expression in self._refused)
+        return is_key(key) and not refused and any(matches(e, key) for e in self._accept)
 
     @property
     def given_up(self) -> int:
@@ -352,7 +363,7 @@ class Incoming:
         return topic
 
     def _open(self, topic_id: int, name: TopicName) -> InTopic:
-        accepted = is_key(name.key) and any(matches(e, name.key) for e in self._accept)
+        accepted = self._accepts(name.key)
         ledger = self._ledgers.get(name.key, ReceivedLedger())
         if accepted and len(self._ledgers) < self._limits.max_topics:  # lives of the peer have no limit
             self._ledgers[name.key] = ledger

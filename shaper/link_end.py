@@ -24,6 +24,7 @@ from shaper.handshake import Identity
 from shaper.open_channel import OpenChannel
 from shaper.operator_lost import OperatorWatch
 from shaper.secure_channel import Address, Control, SecureChannel
+from shaper.table_exchange import ASK, PART, TableExchange
 
 Channel = SecureChannel | OpenChannel
 
@@ -33,7 +34,14 @@ _MAX_CONTROL = 8
 class LinkEnd:
     """An endpoint and its channel, kept in step."""
 
-    def __init__(self, endpoint: Endpoint, channel: Channel, watch: OperatorWatch | None = None) -> None:
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        channel: Channel,
+        watch: OperatorWatch | None = None,
+        tables: TableExchange | None = None,
+    ) -> None:
+        self.tables = tables
         self.endpoint = endpoint
         self.channel = channel
         endpoint.path_mtu.can_probe = channel.has_control
@@ -87,7 +95,10 @@ class LinkEnd:
         """The oldest event not handed over yet, or None."""
         if self._events:
             return self._events.popleft()
-        for notices in (self.channel.notices, self.endpoint.path_mtu.notices):
+        told = [self.channel.notices, self.endpoint.path_mtu.notices]
+        if self.tables is not None:
+            told.append(self.tables.notices)
+        for notices in told:
             if notices:
                 return notices.popleft()
         return self.endpoint.next_event()
@@ -98,6 +109,7 @@ class LinkEnd:
         if self.channel.ready:
             due_ns.append(self.endpoint.wakeup_at_ns(now_ns))
             due_ns.append(self.endpoint.path_mtu.wakeup_at_ns() if self.channel.has_control else None)
+            due_ns.append(self.tables.wakeup_at_ns() if self.tables and self.channel.has_control else None)
         return min(at_ns for at_ns in due_ns if at_ns is not None)
 
     def silence_ns(self, now_ns: int) -> int | None:
@@ -114,6 +126,8 @@ class LinkEnd:
         if peer is not None and peer != self._peer:
             self._peer = peer
             self.endpoint.on_peer_authenticated(peer.epoch, peer.memory, now_ns)
+            if self.tables is not None:
+                self.tables.meet(peer.table_hash, now_ns)
 
     def _look_for_operator(self, now_ns: int) -> None:
         event = None if self.watch is None else self.watch.look(self.channel.last_heard_ns, now_ns)
@@ -125,6 +139,9 @@ class LinkEnd:
             return None
         if self._control:
             return self._control.popleft()
+        question = None if self.tables is None else self.tables.next_question(now_ns)
+        if question is not None:
+            return question
         probe_bytes = self.endpoint.path_mtu.next_probe(now_ns)
         return None if probe_bytes is None else encode_probe(probe_bytes)
 
@@ -137,6 +154,10 @@ class LinkEnd:
                 self._control.append(encode_passed(len(payload) + CONTROL_OVERHEAD_BYTES))
             elif payload[0] == PASSED:
                 self.endpoint.path_mtu.on_probe_arrived(decode_passed(payload), now_ns)
+            elif payload[0] == ASK and self.tables is not None:
+                self._control.append(self.tables.answer(payload))
+            elif payload[0] == PART and self.tables is not None and self.tables.on_part(payload, now_ns):
+                self.endpoint.refuse(self.tables.refused_here, self.tables.refused_there)
         except DecodeError:
             self.endpoint.counters.malformed += 1
 

@@ -61,6 +61,7 @@ class Outgoing:
         journal: Journal | None = None,
     ) -> None:
         self._journal = journal
+        self._refused_there: frozenset[str] = frozenset()
         self.scheduler = Scheduler(guaranteed)
         self.demand = Demand()
         self.events: deque[Event] = deque()
@@ -91,6 +92,11 @@ class Outgoing:
             queue = self._open(key)
         if queue is None:
             return False
+        if self._refused_there and queue.rule.key_expression in self._refused_there:
+            self.refused += 1
+            queue.ledger.offered += 1
+            queue.ledger.refused += 1
+            return False
         name_bytes = _name_bytes(key, encoding) + (WIRE_TYPE_BYTES if queue.rule.encoding else 0)
         if len(payload) > self._max_message_bytes or name_bytes > MAX_NAME_BYTES:
             self.refused += 1
@@ -101,6 +107,10 @@ class Outgoing:
             return False
         self.scheduler.activate(queue)
         return True
+
+    def refuse(self, key_expressions: tuple[str, ...]) -> None:
+        """The peer does not mean the topics of these rules as we do: what is offered of them is dropped."""
+        self._refused_there = frozenset(key_expressions)
 
     def restore(self, now_ns: int) -> None:
         """Take up what the journal holds of a former process's messages."""

@@ -6,9 +6,10 @@ True time moves only by `advance`. A network is between the two that tests may l
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
+from shaper.agreement import make_table
 from shaper.endpoint import Endpoint, EndpointSettings
 from shaper.events import Delivered, Event, Receipt
 from shaper.handshake import Identity, Side
@@ -20,6 +21,7 @@ from shaper.link_key import LinkKey, make_link_key
 from shaper.notices import Notice, NoticeKind
 from shaper.operator_lost import OperatorLostSettings, OperatorWatch
 from shaper.secure_channel import Address, SecureChannel
+from shaper.table_exchange import TableExchange
 from tests.shaper.pair import FAST, MS, RULES, UNIX_NS, S
 
 KEY = make_link_key(random.Random(1).randbytes)
@@ -80,15 +82,16 @@ class SecuredPair:
         limits: Limits | None = None,
         journals: bool = False,
         operator_lost: OperatorLostSettings | None = None,
+        tables: Mapping[Side, EndpointSettings] | None = None,
     ) -> None:
         self.now_ns = 0
         self.operator_lost = operator_lost
+        self.tables = dict(tables or {})
         self.delay_ns = delay_ns
         self.limits = limits or Limits()
         self.rng = random.Random(seed)
         self.underway: list[tuple[int, bytes, Address, Address]] = []  # (arrival, data, from, to)
         self.loses: Callable[[bytes, Address], bool] = lambda data, to: False
-        self.tables: dict[Side, bytes] = {"robot": bytes(8), "operator": bytes(8)}
         self.robot = Host("robot", robot_keys, 3 * S, address=ADDRESSES["robot"])
         self.operator = Host(
             operator_side, operator_keys, 7000 * S, operator_unix_offset_ns, address=ADDRESSES["operator"]
@@ -105,15 +108,23 @@ class SecuredPair:
         now_ns = self.now_ns + host.offset_ns
         unix_ns = UNIX_NS + self.now_ns + host.unix_offset_ns
         peer = self.other(host).address
+        settings, exchange, table_hash = EndpointSettings(RULES, limits=self.limits), None, bytes(8)
+        if host.side in self.tables:
+            settings = self.tables[host.side]
+            exchange = TableExchange(make_table(settings.rules, settings.accept, settings.encodings))
+            table_hash = exchange.hash
         if host.journal is None:
-            identity = Identity(self.rng.getrandbits(16), self.rng.randbytes(8), bytes(8))
+            identity = Identity(self.rng.getrandbits(16), self.rng.randbytes(8), table_hash)
         else:
-            identity = Identity(host.journal.begin_life(), host.journal.memory, bytes(8))
+            identity = Identity(host.journal.begin_life(), host.journal.memory, table_hash)
         channel = SecureChannel(host.side, host.keys, identity, peer, self.rng.randbytes, now_ns, unix_ns)
-        settings = EndpointSettings(RULES, limits=self.limits, protection_bytes=channel.overhead_bytes)
-        endpoint = Endpoint(settings, PresetBands((FAST,)), identity.epoch, now_ns, unix_ns, host.journal)
+        settings = replace(settings, protection_bytes=channel.overhead_bytes)
+        estimator = PresetBands((FAST,))
+        endpoint = Endpoint(settings, estimator, identity.epoch, now_ns, unix_ns, host.journal)
         lost = self.operator_lost if host is self.robot else None
-        host.link = LinkEnd(endpoint, channel, None if lost is None else OperatorWatch(lost, now_ns))
+        host.link = LinkEnd(
+            endpoint, channel, None if lost is None else OperatorWatch(lost, now_ns), exchange
+        )
         host.events.clear()
         host.wakeup_ns = self.now_ns
 
