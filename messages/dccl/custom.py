@@ -50,7 +50,7 @@ BoundEncoder = Callable[[Any, Deviations], tuple[int, int]]
 class OwnFieldCodec(Protocol):
     """A field codec of straitlink.1: one that also knows what to do out of range, and the time.
 
-    Its repr stands for what its bits mean: schemas whose fields differ there have different hashes.
+    Its repr stands for what its bits mean, and for nothing else: schemas that differ there have another hash.
     """
 
     @property

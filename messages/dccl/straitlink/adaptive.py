@@ -28,8 +28,8 @@ class AdaptiveVector:
     """A list of numbers with shared bounds, in the shortest of its forms."""
 
     plain: SteppedVector
-    min_bits: int = field(init=False)
-    max_bits: int = field(init=False)
+    min_bits: int = field(init=False, repr=False)
+    max_bits: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "min_bits", FORM_BITS + self.plain.count_bits)

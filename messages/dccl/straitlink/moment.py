@@ -30,8 +30,8 @@ class Moment:
     least: int
     greatest: int
     is_required: bool
-    min_bits: int = field(init=False)
-    max_bits: int = field(init=False)
+    min_bits: int = field(init=False, repr=False)
+    max_bits: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         bits = clog2(self.count + self.offset)

@@ -41,8 +41,8 @@ class SteppedNumber:
 
     range: Range
     is_required: bool
-    min_bits: int = field(init=False)
-    max_bits: int = field(init=False)
+    min_bits: int = field(init=False, repr=False)
+    max_bits: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         bits = clog2(self.range.steps.count + self.offset)
@@ -83,10 +83,12 @@ class SteppedVector:
     range: Range
     low: int
     high: int
-    min_bits: int = field(init=False)
-    max_bits: int = field(init=False)
-    sizes: tuple[int, ...] = field(init=False)  # bits of the numbers, by how many more than `low` they are
-    count_bits: int = field(init=False)
+    min_bits: int = field(init=False, repr=False)
+    max_bits: int = field(init=False, repr=False)
+    sizes: tuple[int, ...] = field(
+        init=False, repr=False
+    )  # bits of the numbers, by how many more than `low` they are
+    count_bits: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         count = self.range.steps.count

@@ -29,8 +29,8 @@ class Orientation:
     steps: QuaternionSteps
     is_required: bool
     is_message: bool
-    min_bits: int = field(init=False)
-    max_bits: int = field(init=False)
+    min_bits: int = field(init=False, repr=False)
+    max_bits: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         bits = clog2(self.steps.count + self.offset)

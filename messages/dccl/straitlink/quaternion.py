@@ -28,10 +28,10 @@ class QuaternionSteps:
     """
 
     error_rad: float
-    step: float = field(init=False)
-    half_steps: int = field(init=False)
-    side: int = field(init=False)
-    count: int = field(init=False)
+    step: float = field(init=False, repr=False)
+    half_steps: int = field(init=False, repr=False)
+    side: int = field(init=False, repr=False)
+    count: int = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         step = _MARGIN * self.error_rad / (2 * math.sqrt(3))

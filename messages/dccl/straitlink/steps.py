@@ -26,13 +26,22 @@ class Steps:
     maximum: Fraction
     resolution: Fraction
     is_integer: bool
-    count: int = field(init=False)
-    _origin: int = field(init=False)  # minimum, resolution and maximum in units of 1 / _scale
-    _step: int = field(init=False)
-    _end: int = field(init=False)
-    _scale: int = field(init=False)
+    count: int = field(init=False, repr=False)
+    _origin: int = field(init=False, repr=False)  # minimum, resolution and maximum in units of 1 / _scale
+    _step: int = field(init=False, repr=False)
+    _end: int = field(init=False, repr=False)
+    _scale: int = field(init=False, repr=False)
+    _low: float = field(
+        init=False, repr=False
+    )  # minimum and 1 / resolution as doubles, and how far off, in steps,
+    _inverse: float = field(init=False, repr=False)  # what they give is at most
+    _margin: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        low, inverse = _double(self.minimum), _double(1 / self.resolution)
+        greatest = max(abs(low), abs(_double(self.maximum)))
+        # Five roundings, of 2^-53 each of what is no greater than the steps from 0 to the further bound.
+        margin = 2.0**-50 * (2 * greatest * inverse + 1)
         scale = math.lcm(self.minimum.denominator, self.resolution.denominator, self.maximum.denominator)
         for name, value in (
             ("count", math.ceil((self.maximum - self.minimum) / self.resolution) + 1),
@@ -40,11 +49,18 @@ class Steps:
             ("_origin", int(self.minimum * scale)),
             ("_step", int(self.resolution * scale)),
             ("_end", int(self.maximum * scale)),
+            ("_low", low),
+            ("_inverse", inverse),
+            ("_margin", margin if margin < 0.25 else 1.0),
         ):
             object.__setattr__(self, name, value)
 
     def index(self, value: float) -> int:
         """The step nearest to a finite value within the bounds; halfway between two, the upper one."""
+        steps = (value - self._low) * self._inverse + 0.5
+        index = int(steps)
+        if self._margin < steps - index < 1 - self._margin and index < self.count - 2:
+            return index
         numerator, denominator = value.as_integer_ratio()
         step = self._step * denominator
         index = (2 * (numerator * self._scale - self._origin * denominator) + step) // (2 * step)
@@ -60,6 +76,14 @@ class Steps:
         """The value of a step of 0 to count - 1."""
         exact = min(self._origin + index * self._step, self._end)
         return exact // self._scale if self.is_integer else exact / self._scale
+
+
+def _double(number: Fraction) -> float:
+    """The double nearest to a rational; infinite beyond all."""
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf
 
 
 def as_written(number: float) -> Fraction:

@@ -53,6 +53,27 @@ def test_a_value_comes_back_within_half_a_step(low: Fraction, count: int, step: 
     assert steps.index(steps.value(index)) == index
 
 
+@given(
+    st.fractions(-(10**9), 10**9, max_denominator=10**9),
+    st.integers(1, 2**50),
+    st.fractions(Fraction(1, 10**9), 10**6, max_denominator=10**9),
+    st.floats(0, 1),
+)
+def test_the_nearest_step_is_that_of_exact_arithmetic(
+    low: Fraction, count: int, step: Fraction, at: float
+) -> None:
+    steps = Steps(low, low + count * step, step, False)
+    near = low + step * (math.floor(count * Fraction(at)) + Fraction(1, 2))  # a halfway case, or beside one
+    for value in (
+        float(near),
+        math.nextafter(float(near), math.inf),
+        float(low + count * step * Fraction(at)),
+    ):
+        if low <= Fraction(value) <= low + count * step:
+            exact = math.floor((Fraction(value) - low) / step + Fraction(1, 2))
+            assert steps.index(value) == min(exact, count)
+
+
 def test_a_halfway_case_is_judged_by_the_values_own_bits() -> None:
     # 0.15 is a little less than 15/100 in binary, and 0.25 is exactly halfway: both decided without noise.
     steps = Steps(Fraction(0), Fraction(1), Fraction(1, 10), False)

@@ -304,8 +304,8 @@ def test_the_bytes_are_these() -> None:
 
 
 GOLDEN: list[str] = [
-    "037ac31a9dc033c3bf1f56548d17976ef7d731d8c6641c6f36bde181",
-    "1f4f377762a0915d9a6da38bfc866034b05b",
-    "1e77d0aa70c3288da9f369",
-    "1acce0183faded8606d67d",
+    "037ac31a9dc033c3bf1f56548d17976ef7d731d8c6641c6f36bddfec",
+    "1f4f377762a0915d9a6da38bfc866034bc",
+    "1e77d0aa70c3288da9f2de",
+    "1acce0183faded8606b1",
 ]
