@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from bench.mission import machine
+from bench.machine import provenance
 from netem_scripts.band import IP_UDP_HEADER_BYTES, Band
 from netem_scripts.guest import GuestError, check_guest
 from netem_scripts.link import Link
@@ -314,7 +314,7 @@ def main() -> int:
                 " " + (", ".join(misses) or "ok"),
             )
     OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps({**machine(), "runs": [asdict(f) for f in figures]}, indent=1))
+    OUT.write_text(json.dumps({**provenance(), "runs": [asdict(f) for f in figures]}, indent=1))
     console = Console()
     console.width = max(console.width, 130)
     console.print(table)

@@ -24,7 +24,7 @@ import numpy as np
 from bench.link_controls import DelayGradient, TrialsRule
 from bench.link_rows import ROWS, Row
 from bench.link_score import Score, judge
-from bench.mission import machine
+from bench.machine import provenance
 from shaper.link_estimator import EstimatorFactory, PresetBands
 from shaper.trace_records import Record
 from straitlink.mission import MissionSettings, load_named_or_file, run_mission
@@ -237,7 +237,7 @@ def main() -> None:
                 "seeds": [asdict(f) for f in own],
             }
         )
-    document = {**machine(), "minutes": arguments.minutes, "rows": rows}
+    document = {**provenance(), "minutes": arguments.minutes, "rows": rows}
     OUT.parent.mkdir(parents=True, exist_ok=True)
     OUT.write_text(json.dumps(document, indent=1))
     if arguments.json:

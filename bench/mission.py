@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
-import subprocess
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
+from bench.machine import provenance
 from netem_scripts.profiles import load_profile
 from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 
@@ -81,18 +79,6 @@ CASES = (
 )
 
 
-def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    )
-    return {
-        "commit": commit.stdout.strip(),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-    }
-
-
 def main() -> None:
     """Print a table, or JSON; either way leave the figures in out/bench/mission.json."""
     from rich.box import SIMPLE
@@ -103,7 +89,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     figures = [measure(*case) for case in CASES]
-    document = {**machine(), "missions": [asdict(f) for f in figures]}
+    document = {**provenance(), "missions": [asdict(f) for f in figures]}
     OUT.parent.mkdir(parents=True, exist_ok=True)
     OUT.write_text(json.dumps(document, indent=1))
     if arguments.json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -197,12 +198,105 @@ def live_mission(document: Document) -> Section:
     )
 
 
+def link_estimation(document: Document) -> Section:
+    """What each estimator makes of each kind of link."""
+    tables = []
+    for estimator in dict.fromkeys(r["estimator"] for r in document["rows"]):
+        rows = []
+        for r in (r for r in document["rows"] if r["estimator"] == estimator):
+            worst = r["worst"]
+            rows.append(
+                [
+                    r["row"],
+                    _number(worst["utilisation"], ".1%"),
+                    _number(worst["p50_ms"], ".0f"),
+                    _number(worst["p95_ms"], ".0f"),
+                    _number(worst["long_ratio"], ".1%"),
+                    _number(worst["down_s"], ".2f"),
+                    _number(worst["up_s"], ".2f"),
+                    _number(worst["back_s"], ".2f"),
+                    _number(worst["payload_ratio"], ".1%"),
+                    ", ".join(r["misses"]) or "none",
+                ]
+            )
+        header = (
+            "link", "used", "queue p50 ms", "p95 ms", "> 100 ms", "fall s", "rise s", "back s", "payload",
+            "misses",
+        )  # fmt: skip
+        tables.append(Table(header, rows, estimator))
+    return Section(
+        "What the shaper makes of a link",
+        f"An always backlogged mission of {document['minutes']:g} virtual minutes on each link, the worst of "
+        "the seeds. *Used*: of the true rate, by all bytes on the wire. *Fall*, *rise*: seconds until the rate "
+        "is right after a change. *Back*: after a blackout. *Misses*: figures outside what the row asks for.",
+        "python -m bench.link_estimation",
+        provenance_text(document),
+        tables,
+    )
+
+
+def _number(value: float | None, form: str) -> str:
+    """NaN and infinity are "never" and "none" of a kind: a dash."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
+
+
+def view_codec(document: Document) -> Section:
+    """Views, clouds and pictures."""
+    rows = [
+        [
+            f"{r['product']}: {r['codec']}",
+            str(r["views"]),
+            f"{r['bytes']:,.0f}",
+            f"{r['ratio']:.2f}",
+            f"{r['encode_ms']:.1f}",
+            f"{r['decode_ms']:.1f}",
+            "" if r["paper_bytes"] is None else f"{r['paper_bytes']:,}",
+        ]
+        for r in document["rows"]
+    ]
+    header = ("view", "of", "bytes", "ratio", "encode ms", "decode ms", "Table 1 of the paper, B")
+    return Section(
+        "Views",
+        "Mean bytes; the ratio is to the paper's encoding at the same fidelity; CPU of one core, medians.",
+        "python -m bench.view_codec",
+        provenance_text(document),
+        [Table(header, rows)],
+    )
+
+
+def delta(document: Document) -> Section:
+    """State streams against acknowledged messages."""
+    rows = [
+        [
+            f"{d['motion']}, {d['form']}",
+            "none" if d["reference_s"] is None else f"{d['reference_s']:g} s old",
+            f"{d['loss_ratio']:.0%}",
+            f"{d['mean_bytes']:.1f}",
+            str(d["max_bytes"]),
+            f"{d['encodes_per_s']:,}",
+            f"{d['decodes_per_s']:,}",
+        ]
+        for d in document["delta"]
+    ]
+    header = ("28 joints and pose", "reference", "loss", "mean B", "max B", "encodes/s", "decodes/s")
+    return Section(
+        "A robot's state",
+        "At 10 Hz, each message alone and as a difference against one that has arrived.",
+        "python -m bench.delta",
+        provenance_text(document),
+        [Table(header, rows)],
+    )
+
+
 SECTIONS: dict[str, Callable[[Document], Section]] = {
     "peers": peers,
+    "link_estimation": link_estimation,
     "mission": mission,
     "live_mission": live_mission,
     "scale": scale,
     "soak": soak,
+    "view_codec": view_codec,
     "codec": codec,
+    "delta": delta,
 }
 """By the name of the JSON file, in the order of the page."""
