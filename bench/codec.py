@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import random
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -20,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.machine import provenance
 from messages.dccl import Codec, load_proto
 
 OUT = Path("out/bench/codec.json")
@@ -138,18 +137,6 @@ def measure(name: str, codec: Codec[Any]) -> list[CodecFigures]:
     ]
 
 
-def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
-    commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    )
-    return {
-        "commit": commit.stdout.strip(),
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-    }
-
-
 def main() -> None:
     """Print a table, or JSON; either way leave the figures in out/bench/codec.json."""
     from rich.box import SIMPLE
@@ -161,7 +148,7 @@ def main() -> None:
     arguments = parser.parse_args()
     types = load_proto(PROTO)
     figures = [f for name in CPP_PER_S for f in measure(name, Codec(types[f"bench.{name}"]))]
-    document = {**machine(), "cpp_per_s": CPP_PER_S, "codec": [asdict(f) for f in figures]}
+    document = {**provenance(), "cpp_per_s": CPP_PER_S, "codec": [asdict(f) for f in figures]}
     OUT.parent.mkdir(parents=True, exist_ok=True)
     OUT.write_text(json.dumps(document, indent=1))
     if arguments.json:

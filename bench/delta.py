@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.codec import machine
+from bench.machine import provenance
 from messages.dccl import Codec, load_proto
 from messages.delta import DeltaDecoder, DeltaEncoder
 from messages.payload.delta import CHECK_BITS
@@ -223,7 +223,7 @@ def main() -> None:
     arguments = parser.parse_args()
     made = figures()
     OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps({**machine(), "delta": [asdict(f) for f in made]}, indent=1))
+    OUT.write_text(json.dumps({**provenance(), "delta": [asdict(f) for f in made]}, indent=1))
     if arguments.json:
         print(OUT.read_text())
         return

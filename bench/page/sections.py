@@ -227,7 +227,7 @@ def link_estimation(document: Document) -> Section:
     return Section(
         "What the shaper makes of a link",
         f"An always backlogged mission of {document['minutes']:g} virtual minutes on each link, the worst of "
-        "the seeds. *Used*: of the true rate, by all bytes on the wire. *Fall*, *rise*: seconds until the rate "
+        "the seeds. *Used*: of the true rate, by all bytes sent. *Fall*, *rise*: seconds until the rate "
         "is right after a change. *Back*: after a blackout. *Misses*: figures outside what the row asks for.",
         "python -m bench.link_estimation",
         provenance_text(document),
