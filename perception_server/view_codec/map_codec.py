@@ -13,7 +13,7 @@ from . import map_context, map_plain
 from .codec_id import CodecId, codec_of
 from .compiled import IS_COMPILED
 from .errors import DecodeError, EncodeError
-from .map_filters import closed, denoised
+from .map_filters import closed, denoised, smoothed
 from .map_header import (
     HEADER_BYTES,
     MAX_CELLS,
@@ -93,7 +93,7 @@ def encode_map(
         cells.levels,
         lattice.origin_m,
         lattice.step_m,
-        _achieved_error_m(values, dequantise(cells.codes, lattice.origin_m, lattice.step_m)),
+        _achieved_error_m(values, _measured(cells.codes, flags, lattice.origin_m, lattice.step_m)),
     )
     return pack_header(header) + stream
 
@@ -108,7 +108,7 @@ def decode_map(data: bytes) -> MapView:
     codes = _decode_cells(data[HEADER_BYTES:], header)
     if int(codes.max()) >= max(header.levels, 1):
         raise DecodeError(f"code {int(codes.max())} is beyond {header.levels} levels")
-    values = dequantise(codes, header.origin_m, header.step_m)
+    values = _measured(codes, header.flags, header.origin_m, header.step_m)
     filled = np.zeros(values.shape, np.bool_)
     if header.flags & MapFlag.CLOSED:
         values, filled = closed(values)
@@ -134,8 +134,8 @@ def warm_up() -> None:
 
 
 def _smallest(codec: CodecId | None, cells: Codes, used: NDArray[np.bool_] | None) -> tuple[CodecId, bytes]:
-    """A codec and its stream. Where context mixing takes less than a bit a cell, the map repeats itself,
-    and the serpentine, which looks for repetition, may take even less."""
+    """A codec and its stream: the one asked for, or the better of two. Context mixing nearly always wins;
+    where a map repeats itself exactly, the serpentine does, which looks for repetition."""
     is_large = cells.codes.size > MAX_CONTEXT_CELLS
     if codec is CodecId.MAP_CONTEXT and is_large:
         raise EncodeError(
@@ -146,12 +146,8 @@ def _smallest(codec: CodecId | None, cells: Codes, used: NDArray[np.bool_] | Non
         return codec, _encode_cells(codec, cells, used)
     if is_large or not IS_COMPILED:
         return CodecId.MAP_SERPENTINE, _encode_cells(CodecId.MAP_SERPENTINE, cells, used)
-    stream = _encode_cells(CodecId.MAP_CONTEXT, cells, used)
-    if 8 * len(stream) < np.count_nonzero(cells.valid):
-        other = _encode_cells(CodecId.MAP_SERPENTINE, cells, used)
-        if len(other) < len(stream):
-            return CodecId.MAP_SERPENTINE, other
-    return CodecId.MAP_CONTEXT, stream
+    both = [(c, _encode_cells(c, cells, used)) for c in (CodecId.MAP_CONTEXT, CodecId.MAP_SERPENTINE)]
+    return min(both, key=lambda coded: len(coded[1]))
 
 
 def _encode_cells(codec: CodecId, cells: Codes, used: NDArray[np.bool_] | None) -> bytes:
@@ -174,6 +170,14 @@ def _decode_cells(stream: bytes, header: MapHeader) -> NDArray[np.int64]:
     if header.codec is CodecId.MAP_SERPENTINE:
         return map_plain.serpentine_decode(stream, header)
     return map_context.decode_cells(stream, header)
+
+
+def _measured(
+    codes: NDArray[np.int64], flags: MapFlag, origin_m: float, step_m: float
+) -> NDArray[np.float32]:
+    """The measured cells as the reader has them, NaN elsewhere."""
+    values = dequantise(codes, origin_m, step_m)
+    return smoothed(values, step_m) if flags & MapFlag.DENOISED else values
 
 
 def _achieved_error_m(values: NDArray[np.float32], decoded: NDArray[np.float32]) -> float:

@@ -1,7 +1,8 @@
 """What may be done to a map besides quantising it, always told in its header.
 
-Denoising is the sender's and changes values; closing is the reader's and only adds cells, so that it
-costs no bits and what was measured stays known.
+Denoising is the sender's and changes values; the reader then smooths the steps that quantising put into
+what was smooth. Closing is the reader's and only adds cells, so that it costs no bits and what was measured
+stays known. What readers do is made of +, -, * and / on doubles in a written order.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 _RADIUS = 2  # cells
 _SPREAD_CELLS = 1.5  # standard deviation over distance
 _SPREAD_M = 0.025  # and over height: three times a good lidar's noise, a third of a kerb
+_SMOOTHING_PASSES = 4
+_HALF_OF_THE_NEIGHBOURS = [(0, 1), (0, 2)] + [(down, across) for down in (1, 2) for across in range(-2, 3)]
+_REACH_STEPS = 1.5  # quantisation steps; neighbours farther away are across an edge
 _MOST_GAP = 2  # cells
 _MOST_STEP_M = 0.1  # across a gap; beyond it there may be an edge, which nobody shall invent a slope for
 
@@ -35,6 +39,42 @@ def denoised(values_m: NDArray[np.float32]) -> NDArray[np.float32]:
             weights += np.where(known, weight, 0)
             total += np.where(known, weight * off, 0)
     return (values_m + total / np.where(weights > 0, weights, 1)).astype(np.float32)
+
+
+def smoothed(values_m: NDArray[np.float32], step_m: float) -> NDArray[np.float32]:
+    """Take the quantisation's terraces out of a map that was smooth before.
+
+    Each pass moves every cell to the mean of its 5x5 neighbours, weighted by 1 - (difference / reach)², but
+    never out of the half step around its code within which it was. Opposite neighbours count together or
+    not at all, so that a slope stays one up to its border.
+    """
+    centre = values_m.astype(np.float64)
+    half_m = 0.5 * step_m
+    result = centre
+    for _ in range(_SMOOTHING_PASSES if step_m > 0 else 0):
+        moved = _smoothed_once(result, _REACH_STEPS * step_m)
+        result = np.minimum(np.maximum(moved, centre - half_m), centre + half_m)
+    return result.astype(np.float32)
+
+
+def _smoothed_once(values_m: NDArray[np.float64], reach_m: float) -> NDArray[np.float64]:
+    rows, columns = values_m.shape
+    padded = np.full((rows + 2 * _RADIUS, columns + 2 * _RADIUS), np.nan)
+    padded[_RADIUS:-_RADIUS, _RADIUS:-_RADIUS] = values_m
+
+    def to_neighbour(down: int, across: int) -> NDArray[np.float64]:
+        top, left = _RADIUS + down, _RADIUS + across
+        return padded[top : top + rows, left : left + columns] - values_m
+
+    total, weights = np.zeros(values_m.shape), np.ones(values_m.shape)
+    for down, across in _HALF_OF_THE_NEIGHBOURS:
+        one, other = to_neighbour(down, across), to_neighbour(-down, -across)
+        share, other_share = one / reach_m, other / reach_m
+        weight = np.maximum(1.0 - share * share, 0.0) * np.maximum(1.0 - other_share * other_share, 0.0)
+        known = ~np.isnan(weight)
+        weights += np.where(known, 2.0 * weight, 0.0)
+        total += np.where(known, weight * (one + other), 0.0)
+    return values_m + total / weights
 
 
 def closed(values_m: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

@@ -124,6 +124,15 @@ def test_denoising_is_told_and_lessens_the_error_to_the_truth() -> None:
     assert np.abs(smooth.values - noisy).max() <= smooth.max_error_m + 1e-9
 
 
+def test_an_overview_has_no_terraces() -> None:
+    y, x = np.mgrid[:60, :80]
+    truth = 0.0021 * x - 0.0013 * y
+    noisy = (truth + np.random.default_rng(2).normal(0, 0.008, truth.shape)).astype(np.float32)
+    view = decode_map(encode_map(noisy, max_error_m=0.01, denoise=True, close_gaps=True))
+    off = np.abs(view.values - truth)
+    assert np.percentile(off, 95) < 0.006 < 0.9 * view.step_m  # half a step, 10 mm, without smoothing
+
+
 @pytest.mark.parametrize("codec", CODECS)
 def test_closed_gaps_are_told_from_measurements(codec: str) -> None:
     values = np.full((5, 9), 1.0, np.float32)
