@@ -44,7 +44,7 @@ def serve_views(
     try:
         service = PerceptionService(session, settings, sensors)
         on_open()
-        threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
+        warm_up_beside()
         stop.wait()
         service.close()
     finally:
@@ -52,8 +52,12 @@ def serve_views(
     return {**sensors.counters, **sensors.history_counters}
 
 
+def warm_up_beside() -> None:
+    """Load or compile the kernels in a thread, so that pictures leave at once and no view waits for it."""
+    threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
+
+
 def _warm_up() -> None:
-    """Meanwhile, so that pictures leave at once and no operator waits for what is compiled at first use."""
     try:
         warm_up()
     except RuntimeError:

@@ -57,3 +57,21 @@ def request(
     for path in save or []:
         save_view(reply, path)
         typer.echo(f"saved: {path}")
+
+
+@app.command()
+def views(
+    connect: Annotated[list[str], typer.Option("--connect", "-e", help="Zenoh endpoint of this host's bus.")],
+    prefix: Annotated[str, typer.Option(help="Of the server's view keys.")] = "robot/view",
+    to: Annotated[str, typer.Option(help="Prefix of what is published.")] = "decoded",
+) -> None:
+    """On the operator's host: publish arriving views as Foxglove images, grids and clouds, until Ctrl-C."""
+    from shaper.bus import BusSettings
+    from straitlink.commands.recordings import stop_on_signals
+    from straitlink.view_host import ViewHostSettings, show_views
+
+    settings = ViewHostSettings(BusSettings(connect=connect), prefix, to, stop_on_signals())
+    counts = show_views(settings, lambda: typer.echo(f"views: open, {prefix}/** as {to}/**", err=True))
+    for what, count in counts.items():
+        if count:
+            typer.echo(f"views: {what}: {count}", err=True)

@@ -41,6 +41,7 @@ _PARTS = (
     "operator-shaper",
     "record",
     "perception",
+    "views",
     "robot-replay",
     "operator-replay",
 )
@@ -150,6 +151,10 @@ def _start(
     for name, endpoint in (("robot-bus", addresses.robot_bus), ("operator-bus", addresses.operator_bus)):
         child = children.start(name, ["bus", "--listen", endpoint])
         children.wait_until(f"the start of {name}", partial(_is_open, child))
+    servers = []
+    if settings.log is None:  # they take longest to start
+        servers.append(children.start("perception", ["perception", str(out / "perception.toml")]))
+        servers.append(children.start("views", ["views", "--connect", addresses.operator_bus]))
     link = ["link", "--profile", settings.profile, "--seed", str(settings.seed)]
     link += ["--robot-side", addresses.link_robot, "--operator-side", addresses.link_operator]
     link += ["--robot-peer", addresses.robot_shaper, "--operator-peer", addresses.operator_shaper]
@@ -165,8 +170,8 @@ def _start(
     record = ["record", str(recording), "--connect", addresses.operator_bus, "--schemas", str(log)]
     recorder = children.start("record", [*record, *(arg for c in carried for arg in ("--config", c))])
     children.wait_until("the start of the recorder", partial(_is_open, recorder))
-    if settings.log is None:
-        children.start("perception", ["perception", str(out / "perception.toml")])
+    for server in servers:
+        children.wait_until(f"the start of {server.name}", partial(_is_open, server))
     passes = ["--loop", "0"]
     down = ["replay", str(log), "--connect", addresses.robot_bus, *passes, "--exclude", _OPERATOR_KEYS]
     down += [arg for topic in unusable for arg in ("--exclude", topic)]
