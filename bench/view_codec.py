@@ -10,23 +10,23 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.machine import provenance
+from bench.view_images import image_rows
+from bench.view_points import cloud_rows, octree_rows
+from bench.view_rows import Coded, Row, coded, row
 from perception_server.view_codec import decode_map, encode_map, warm_up
 
 OUT = Path("out/bench/view_codec.json")
 SUITE = Path("../shared/data/views/suite.npz")
-ROUNDS = 3
 MAP_CODECS = ("zlib", "serpentine", "context")
 MAP_KINDS = {"hm": "height map", "rm": "range map"}
 FIDELITIES: dict[str, dict[str, Any]] = {
@@ -35,63 +35,8 @@ FIDELITIES: dict[str, dict[str, Any]] = {
     "5 mm": {"max_error_m": 0.005},
     "1 mm": {"max_error_m": 0.001},
 }
-PAPER_BYTES = {"height map, 8 bit": 8_600, "range map, 8 bit": 8_300}  # Table 1, zlib
 HEADER = ("product", "codec", "views", "bytes", "ratio", "encode ms", "decode ms", "paper bytes")
 COLOURS = ("#8a8f98", "#4c78a8", "#e4572e", "#54a24b")
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One product by one codec. bytes: mean over the views; ratio: of total bytes, the paper's to these."""
-
-    product: str
-    codec: str
-    views: int
-    bytes: float
-    ratio: float
-    encode_ms: float
-    decode_ms: float
-    paper_bytes: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Coded:
-    """One view, coded."""
-
-    size_bytes: int
-    encode_ms: float
-    decode_ms: float
-
-
-View = TypeVar("View")
-
-
-def coded(view: View, encode: Callable[[View], bytes], decode: Callable[[bytes], object]) -> Coded:
-    """Encode and decode one view ROUNDS times."""
-    encode_ms, decode_ms, message = [], [], b""
-    for _ in range(ROUNDS):
-        start = time.process_time()
-        message = encode(view)
-        middle = time.process_time()
-        decode(message)
-        encode_ms.append(1e3 * (middle - start))
-        decode_ms.append(1e3 * (time.process_time() - middle))
-    return Coded(len(message), min(encode_ms), min(decode_ms))
-
-
-def row(product: str, codec: str, views: list[Coded], paper: list[Coded]) -> Row:
-    """The figures of one product by one codec, against the paper's encoding of the same views."""
-    total = sum(view.size_bytes for view in views)
-    return Row(
-        product,
-        codec,
-        len(views),
-        total / len(views),
-        sum(view.size_bytes for view in paper) / total,
-        statistics.median(view.encode_ms for view in views),
-        statistics.median(view.decode_ms for view in views),
-        PAPER_BYTES.get(product),
-    )
 
 
 def own_maps() -> dict[str, list[NDArray[np.float32]]]:
@@ -133,7 +78,7 @@ def map_rows() -> Iterator[Row]:
         yield row(f"{MAP_KINDS[kind]} overview", "context", overview, raw)
 
 
-PRODUCTS: tuple[Callable[[], Iterator[Row]], ...] = (map_rows,)
+PRODUCTS: tuple[Callable[[], Iterator[Row]], ...] = (map_rows, cloud_rows, octree_rows, image_rows)
 
 
 def table(rows: list[Row]) -> str:

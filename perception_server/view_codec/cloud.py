@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .cell_set import decode_cells, encode_cells
-from .codec_id import CodecId, codec_of
+from .codec_id import CodecId, codec_of, wished_codec
 from .errors import DecodeError, EncodeError
 from .finite_points import finite_points
 from .occupancy import MAX_CELLS, MAX_DEPTH, Cells
@@ -26,7 +26,7 @@ _COUNTED = struct.Struct("<BI")  # of the zlib codec: bytes an axis; points
 _WIDTHS = (1, 2, 4)
 _LEAST_STEP_M = float(np.finfo(np.float32).tiny)
 _ROUNDING = 1 - 2.0**-20  # room for a step's rounding to 32 bits
-_CODECS = (CodecId.CLOUD_ZLIB, CodecId.CLOUD_ZSTD, CodecId.CLOUD_CONTEXT)
+_CODECS = {"zlib": CodecId.CLOUD_ZLIB, "zstd": CodecId.CLOUD_ZSTD, "context": CodecId.CLOUD_CONTEXT}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,19 +66,18 @@ def encode_cloud(
     *,
     bits: int | None = None,
     max_error_m: float | None = None,
-    codec: CodecId | None = None,
+    codec: CodecId | str | None = None,
 ) -> bytes:
     """One message for a cloud, which `decode_cloud` reads.
 
     points: (N, 3) metres in any frame, N from 0; rows that are not finite are left out.
     bits: per axis, 1..20, over the longest side of the cloud's box; or
     max_error_m: no point moves by more than this, measured straight through the three axes.
-    codec: CLOUD_ZLIB, CLOUD_ZSTD (fast), CLOUD_CONTEXT (small), or None for the smaller of the latter.
+    codec: "zlib" (the paper's), "zstd" (fast), "context" (small); None for the smaller of the latter.
     Raises EncodeError for what cannot be held: coordinates above 1e30 m, more than 2**20 cells along
     an axis, more than 2**19 cells in all, an error below the rounding of float32 at such coordinates.
     """
-    if codec not in (None, *_CODECS):
-        raise EncodeError(f"codec = {codec!r} does not code clouds")
+    codec = wished_codec(codec, _CODECS)
     known = finite_points(points)
     lattice = _lattice(known, bits, max_error_m)
     cells = lattice.cells_of(known)
@@ -91,8 +90,9 @@ def encode_cloud(
 
 def decode_cloud(data: bytes) -> CloudView:
     """The cloud of a message from `encode_cloud`. Raises DecodeError."""
+    data = bytes(data)
     codec = codec_of(data)
-    if codec not in _CODECS:
+    if codec not in _CODECS.values():
         raise DecodeError(f"a view of codec {codec.name} is no cloud")
     if len(data) < 1 + _LATTICE.size:
         raise DecodeError(f"a cloud of {len(data)} bytes lacks its lattice of {_LATTICE.size} bytes")

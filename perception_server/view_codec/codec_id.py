@@ -5,9 +5,10 @@ The high nibble is the product, the low one the codec. A number, once given, is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum, unique
 
-from .errors import DecodeError
+from .errors import DecodeError, EncodeError
 
 
 @unique
@@ -35,3 +36,11 @@ def codec_of(data: bytes) -> CodecId:
         return CodecId(data[0])
     except ValueError:
         raise DecodeError(f"codec 0x{data[0]:02x} is unknown") from None
+
+
+def wished_codec(wish: CodecId | str | None, names: Mapping[str, CodecId]) -> CodecId | None:
+    """The codec that an encoder was asked for, by name or number. Raises EncodeError for another's."""
+    codec = names.get(wish) if isinstance(wish, str) else wish
+    if wish is not None and codec not in names.values():
+        raise EncodeError(f"codec = {wish!r} is none of {', '.join(names)}")
+    return codec

@@ -8,7 +8,7 @@ there were no restart markers, as OpenCV and libjpeg write by default. What is n
 
 from __future__ import annotations
 
-from .codec_id import CodecId, codec_of
+from .codec_id import CodecId, codec_of, wished_codec
 from .compiled import IS_COMPILED, Ints
 from .errors import DecodeError, EncodeError
 from .jpeg_context import decode_coefficients, encode_coefficients
@@ -33,25 +33,24 @@ from .jpeg_tables import (
 
 MAX_FILE_BYTES = 16_000_000
 MAX_BLOCKS = 1 << 16  # of 8x8 samples: 64 MB of coefficients; 4:2:0 up to 2.8 megapixels
-_CODECS = (CodecId.IMAGE_FILE, CodecId.IMAGE_JPEG, CodecId.IMAGE_JPEG_CONTEXT)
+_CODECS = {"file": CodecId.IMAGE_FILE, "huffman": CodecId.IMAGE_JPEG, "context": CodecId.IMAGE_JPEG_CONTEXT}
 _SAMPLINGS = (None, (1, 1), (2, 1), (2, 2), (1, 2))  # luma blocks across and down an MCU; None is grey
 _GIVEN_HEADER = 7
 _GIVEN_TABLES = 8
 _HEADER_LENGTH_BYTES = 3
 
 
-def pack_jpeg(jpeg: bytes, *, codec: CodecId | None = None) -> bytes:
+def pack_jpeg(jpeg: bytes, *, codec: CodecId | str | None = None) -> bytes:
     """The smallest message that `unpack_jpeg` turns into a JPEG of the same pixels.
 
-    codec: IMAGE_JPEG_CONTEXT (small); IMAGE_JPEG (Huffman-coded still: the operator only puts the tables
-    back); IMAGE_FILE (as it is); None for the smallest, without Numba the smallest of the latter two. A
-    file that is no sound baseline JPEG, or too large for its codec, travels as it is.
+    codec: "context" (small); "huffman" (the operator only puts the tables back); "file" (as it is); None
+    for the smallest, without Numba the smallest of the latter two. A file that is no sound baseline JPEG,
+    or too large for its codec, travels as it is.
     Raises EncodeError for an empty or too large file and for a codec of another product.
     """
     if not 0 < len(jpeg) <= MAX_FILE_BYTES:
         raise EncodeError(f"an image file of {len(jpeg)} bytes is outside 1..{MAX_FILE_BYTES}")
-    if codec not in (None, *_CODECS):
-        raise EncodeError(f"codec = {codec!r} does not code JPEG files")
+    codec = wished_codec(codec, _CODECS)
     unchanged = bytes([CodecId.IMAGE_FILE]) + jpeg
     if codec is CodecId.IMAGE_FILE:
         return unchanged
@@ -72,6 +71,7 @@ def pack_jpeg(jpeg: bytes, *, codec: CodecId | None = None) -> bytes:
 
 def unpack_jpeg(data: bytes) -> bytes:
     """The image file of a message from `pack_jpeg` or `encode_image`. Raises DecodeError."""
+    data = bytes(data)
     codec = codec_of(data)
     if len(data) > MAX_FILE_BYTES + 1:
         raise DecodeError(f"an image of {len(data)} bytes is above {MAX_FILE_BYTES + 1}")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .cell_set import decode_cells, encode_cells
-from .codec_id import CodecId, codec_of
+from .codec_id import CodecId, codec_of, wished_codec
 from .errors import DecodeError, EncodeError
 from .finite_points import finite_points
 from .occupancy import MAX_DEPTH, Cells
@@ -17,7 +17,7 @@ from .occupancy import MAX_DEPTH, Cells
 MAX_KEY = (1 << 30) - 1
 MAX_LEAF_M = 1e20
 _GRID = struct.Struct("<d3i")  # leaf edge in metres; smallest key along x, y, z
-_CODECS = (CodecId.OCTREE_ZSTD, CodecId.OCTREE_CONTEXT)
+_CODECS = {"zstd": CodecId.OCTREE_ZSTD, "context": CodecId.OCTREE_CONTEXT}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,17 +37,16 @@ class OctreeView:
         return ((self.keys + 0.5) * self.leaf_m).astype(np.float32)
 
 
-def encode_octree(points: ArrayLike, *, leaf_m: float, codec: CodecId | None = None) -> bytes:
+def encode_octree(points: ArrayLike, *, leaf_m: float, codec: CodecId | str | None = None) -> bytes:
     """One message with the leaves that hold a point, which `decode_octree` reads.
 
     points: (N, 3) metres in any frame, N from 0; rows that are not finite are left out.
     leaf_m: edge of a leaf, whose grid passes through the frame's origin.
-    codec: OCTREE_ZSTD (fast), OCTREE_CONTEXT (small), or None for the smaller.
+    codec: "zstd" (fast), "context" (small); None for the smaller.
     Raises EncodeError for more than 2**20 leaves along an axis, more than 2**19 in all, and for points
     farther than 2**30 leaves from the origin.
     """
-    if codec not in (None, *_CODECS):
-        raise EncodeError(f"codec = {codec!r} does not code octrees")
+    codec = wished_codec(codec, _CODECS)
     if not 0 < leaf_m <= MAX_LEAF_M:
         raise EncodeError(f"leaf_m = {leaf_m} is outside 0..{MAX_LEAF_M:g} m")
     known = finite_points(points)
@@ -67,8 +66,9 @@ def encode_octree(points: ArrayLike, *, leaf_m: float, codec: CodecId | None = N
 
 def decode_octree(data: bytes) -> OctreeView:
     """The leaves of a message from `encode_octree`. Raises DecodeError."""
+    data = bytes(data)
     codec = codec_of(data)
-    if codec not in _CODECS:
+    if codec not in _CODECS.values():
         raise DecodeError(f"a view of codec {codec.name} is no octree")
     if len(data) < 1 + _GRID.size:
         raise DecodeError(f"an octree of {len(data)} bytes lacks its grid of {_GRID.size} bytes")
