@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 from typing import Any
 
 from google.protobuf.message import Message as ProtobufMessage
@@ -72,6 +73,7 @@ class Lanes:
     scatter: Scatter
 
 
+@lru_cache(maxsize=64)  # a peer may open many topics of one encoding
 def lanes_of(codec: Codec[Any]) -> Lanes:
     """The lanes of a codec's messages; SchemaError names the field that has none.
 
