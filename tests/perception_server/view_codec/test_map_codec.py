@@ -13,7 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from perception_server.view_codec import DecodeError, EncodeError, decode_map, encode_map, map_codec, warm_up
+from perception_server.view_codec import (
+    CodecId,
+    DecodeError,
+    EncodeError,
+    decode_map,
+    encode_map,
+    map_codec,
+    warm_up,
+)
+from perception_server.view_codec.map_header import HEADER_BYTES, MAX_CELLS, MAX_CONTEXT_CELLS
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "view_maps.json"
 CODECS = ("zlib", "serpentine", "context")
@@ -258,6 +267,18 @@ def test_the_warm_up_knows_its_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(map_codec, "_WARM_UP_CRC", 1)
     with pytest.raises(RuntimeError, match="not 0x00000001: remove"):
         warm_up()
+
+
+def test_the_document_has_the_headers_numbers() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "view_codecs.md").read_text()
+    for told in (
+        f"Header, {HEADER_BYTES} bytes",
+        f"{MAX_CELLS:,} cells",
+        f"context mixing {MAX_CONTEXT_CELLS:,}",
+    ):
+        assert told in text
+    for codec in (CodecId.MAP_ZLIB, CodecId.MAP_SERPENTINE, CodecId.MAP_CONTEXT):
+        assert f"### 0x{codec:02x} " in text
 
 
 FALLBACK = """
