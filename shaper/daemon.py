@@ -84,6 +84,7 @@ class Daemon:
         endpoint = config.endpoint
         self._tables = TableExchange(make_table(endpoint.rules, endpoint.accept, endpoint.encodings))
         self._identity = Identity(epoch, memory, self._tables.hash)
+        self._filtered_ids: list[int] = []
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
         settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
@@ -194,12 +195,21 @@ class Daemon:
 
     def _pump(self, now_ns: int) -> None:
         wakeup_ns = pump_link(self._link, now_ns, self._send, self._handle)
+        self._filter_strangers()
         when_s = wakeup_ns / _NS_PER_S
         if self._timer is not None:
             if self._timer.when() == when_s:
                 return
             self._timer.cancel()
         self._timer = self._loop.call_at(when_s, self._on_timer)
+
+    def _filter_strangers(self) -> None:
+        """Tell the kernel which session numbers are ours, whenever they change."""
+        session_ids = self._link.channel.session_ids()
+        if self._keys and session_ids != self._filtered_ids:
+            self._filtered_ids = session_ids
+            key_ids = [key.id for key in self._keys] if self._link.channel.ready else []
+            self._udp.take_only(session_ids, key_ids)
 
     # What comes out.
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import errno
 import socket
-from collections.abc import Callable
+import struct
+import sys
+from collections.abc import Callable, Sequence
 
 from shaper.secure_channel import Address
+from shaper.socket_filter import SO_ATTACH_FILTER, encode_program, filter_program
 
 _BUFFER_BYTES = 1 << 20  # the socket's own buffers: a link's worth of seconds, so that none is lost here
 _MAX_BYTES = 65_535
@@ -65,6 +69,20 @@ class UdpLink:
             self._socket.sendto(datagram, address)
         except OSError:
             self.send_errors += 1  # mostly "connection refused": nobody listens there at the moment
+
+    def take_only(self, session_ids: Sequence[int], key_ids: Sequence[bytes]) -> bool:
+        """Have the kernel drop what cannot be the peer's (`shaper.socket_filter`); False if it cannot."""
+        program = encode_program(filter_program(session_ids, key_ids))
+        buffer = ctypes.create_string_buffer(program)
+        count = len(program) // 8
+        if self._socket is None or sys.platform != "linux":
+            return False
+        try:
+            head = struct.pack("HP", count, ctypes.addressof(buffer))
+            self._socket.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, head)
+        except OSError:
+            return False
+        return True
 
     def close(self) -> None:
         """Close the socket; nothing leaves from now on."""
