@@ -1,0 +1,194 @@
+"""kill -9 of each shaper at random moments: what becomes of reliable messages, and how soon traffic is back.
+
+    python -m bench.wire_kill [--kills 20] [--seed 1] [--json]
+
+Commands of 10 Hz each way; every one must be on the other bus once, or its publisher be told that it is
+not. resume: from the new process's first record until the first message each way. Exit code 1 if a
+message is lost without a word, doubled, or a journal is corrupt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import sqlite3
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from bench.wire_rig import COMMAND_KEYS, DELAY_MS, WireRig
+from messages.attachment import Stamp
+from shaper.bus import open_bus
+
+_PERIOD_S = 0.1
+_SIDES = ("robot", "operator")
+_FINAL = frozenset({"delivered", "expired", "lost", "shed", "refused", "unreadable"})
+
+
+class Publishers:
+    """Commands both ways, what arrived of them, and what their publishers were told."""
+
+    def __init__(self, rig: WireRig) -> None:
+        self._sessions = {side: open_bus(rig.bus(side)) for side in _SIDES}
+        self.sent: dict[str, int] = dict.fromkeys(_SIDES, 0)
+        self.arrived: dict[str, Counter[int]] = {side: Counter() for side in _SIDES}
+        self.told: dict[str, dict[int, list[str]]] = {side: {} for side in _SIDES}
+        self._stop = threading.Event()
+        self._kept: list[Any] = []
+        for side, other in (("robot", "operator"), ("operator", "robot")):
+            session, key = self._sessions[side], COMMAND_KEYS[side]
+            self._kept.append(
+                session.declare_subscriber(f"@straitlink/receipt/{key}", self._on_receipt(side))
+            )
+            self._kept.append(self._sessions[other].declare_subscriber(key, self._on_command(side)))
+        self._threads = [threading.Thread(target=self._publish, args=(side,)) for side in _SIDES]
+        for thread in self._threads:
+            thread.start()
+
+    def _on_receipt(self, side: str) -> Any:
+        def on_sample(sample: zenoh.Sample) -> None:
+            receipt = json.loads(sample.payload.to_bytes())
+            self.told[side].setdefault(receipt["sequence"], []).append(receipt["stage"])
+
+        return on_sample
+
+    def _on_command(self, side: str) -> Any:
+        def on_sample(sample: zenoh.Sample) -> None:
+            self.arrived[side][int.from_bytes(sample.payload.to_bytes()[:4], "little")] += 1
+
+        return on_sample
+
+    def _publish(self, side: str) -> None:
+        publisher = self._sessions[side].declare_publisher(COMMAND_KEYS[side])
+        while not self._stop.wait(_PERIOD_S):
+            number = self.sent[side] = self.sent[side] + 1
+            stamp = Stamp(time.time_ns(), number).encode()
+            publisher.put(number.to_bytes(4, "little") + bytes(40), attachment=stamp)
+
+    def stop(self) -> None:
+        """Publish no more."""
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+
+    def close(self) -> None:
+        """Leave the buses."""
+        self.stop()
+        for session in self._sessions.values():
+            session.close()
+
+
+@contextmanager
+def _publishing(rig: WireRig) -> Iterator[Publishers]:
+    publishers = Publishers(rig)
+    try:
+        yield publishers
+    finally:
+        publishers.close()
+
+
+def measure(kills: int, seed: int) -> dict[str, Any]:
+    """Kill each side so many times, in turn, at random moments."""
+    rng = random.Random(seed)
+    resumes_s: list[float] = []
+    with tempfile.TemporaryDirectory() as folder, WireRig(Path(folder)) as rig:
+        rig.start_all()
+        with _publishing(rig) as publishers:
+            time.sleep(3)
+            for index in range(2 * kills):
+                side = _SIDES[index % 2]
+                time.sleep(rng.uniform(0.2, 2.0))
+                rig.kill(side)
+                rig.start(side)
+                time.sleep(1.0)
+                resumes_s.append(_resume_s(rig, side))
+            publishers.stop()
+            time.sleep(14)  # a command lives for ten seconds
+            result = _account(publishers)
+        corrupt = sum(_is_corrupt(Path(folder) / f"{side}.journal") for side in _SIDES if _ended(rig, side))
+    resumes_s = [s for s in resumes_s if s >= 0]
+    rtt_s = 2 * DELAY_MS / 1000
+    return {
+        "kills": 2 * kills,
+        **result,
+        "corrupt_journals": corrupt,
+        "rtt_s": rtt_s,
+        "resume_p50_s": round(sorted(resumes_s)[len(resumes_s) // 2], 3),
+        "resume_max_s": round(max(resumes_s), 3),
+    }
+
+
+def _resume_s(rig: WireRig, side: str) -> float:
+    """Until something of the new process has arrived there, and something of the other side here."""
+    other = "operator" if side == "robot" else "robot"
+    started_ns = [r["t_ns"] for r in rig.records(side) if r["event"] == "start"][-1]
+    firsts = []
+    for name in (side, other):
+        times = [r["t_ns"] for r in rig.records(name) if r["event"] == "delivered" and r["t_ns"] > started_ns]
+        firsts.append(min(times, default=started_ns - 1))
+    return (max(firsts) - started_ns) / 1e9 if min(firsts) > started_ns else -1.0
+
+
+def _account(publishers: Publishers) -> dict[str, int]:
+    counts: Counter[str] = Counter()
+    for side in _SIDES:
+        arrived, told = publishers.arrived[side], publishers.told[side]
+        for number in range(1, publishers.sent[side] + 1):
+            copies, stages = arrived[number], told.get(number, [])
+            counts["published"] += 1
+            counts["doubled"] += copies > 1
+            counts["arrived"] += copies > 0
+            if copies:
+                continue
+            if not stages:
+                counts["never_accepted"] += 1  # no shaper was there: its publisher was told nothing
+            elif set(stages) & _FINAL - {"delivered"}:
+                counts["reported"] += 1
+            else:
+                counts["lost_without_a_word"] += 1
+    names = ("published", "arrived", "reported", "never_accepted", "doubled", "lost_without_a_word")
+    return {name: counts[name] for name in names}
+
+
+def _ended(rig: WireRig, side: str) -> bool:
+    rig.kill(side)
+    return True
+
+
+def _is_corrupt(path: Path) -> bool:
+    db = sqlite3.connect(path)
+    try:
+        return bool(db.execute("PRAGMA integrity_check").fetchone()[0] != "ok")
+    finally:
+        db.close()
+
+
+def main() -> None:
+    """Measure and print; exit code 1 if anything is lost or doubled."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    result = measure(arguments.kills, arguments.seed)
+    if arguments.json:
+        print(json.dumps(result, indent=1))
+    else:
+        for name, value in result.items():
+            print(f"{name:24} {value}")
+    sys.exit(bool(result["doubled"] or result["lost_without_a_word"] or result["corrupt_journals"]))
+
+
+if __name__ == "__main__":
+    main()

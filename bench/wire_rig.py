@@ -1,0 +1,121 @@
+"""Two shapers with a key of their own, the link emulator between them, and publishers: for wire benches."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from shaper.bus import BusSettings
+from straitlink.demo.configs import KEY_FILE, free_addresses, write_temporary_key
+
+DELAY_MS = 50
+BEAT_KEY, COMMAND_KEYS = "robot/heartbeat", {"robot": "robot/done", "operator": "operator/command"}
+
+
+class WireRig:
+    """Processes "robot", "operator" and "link" in a folder; leaving the context ends them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.addresses = a = free_addresses()
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        write_temporary_key(folder)
+        link = ["link", "--profile", f"constant-1m-{DELAY_MS}ms"]
+        link += ["--robot-side", a.link_robot, "--operator-side", a.link_operator]
+        link += ["--robot-peer", a.robot_shaper, "--operator-peer", a.operator_shaper]
+        self._commands = {"link": link}
+        for side, listen, peer in (
+            ("robot", a.robot_shaper, a.link_robot),
+            ("operator", a.operator_shaper, a.link_operator),
+        ):
+            # The buses are processes of their own: they stay when a shaper is killed.
+            bus = a.robot_bus if side == "robot" else a.operator_bus
+            self._write_config(side, listen, peer, bus)
+            self._commands[side] = ["shaper", str(folder / f"{side}.toml")]
+            self._commands[f"{side}-bus"] = ["bus", "--listen", bus]
+
+    def _write_config(self, side: str, listen: str, peer: str, bus: str) -> None:
+        band = {"name": "only", "rate_bps": 1_000_000, "one_way_delay_ms": DELAY_MS}
+        topics = [{"key": COMMAND_KEYS[side], "class": "command"}]
+        if side == "robot":
+            topics.append({"key": BEAT_KEY, "class": "heartbeat"})
+        document = {
+            "link": {"side": side, "listen": listen, "peer": peer, "bands": [band], "keys": [KEY_FILE]},
+            "zenoh": {"connect": [bus]},
+            "topics": topics,
+        }
+        (self.folder / f"{side}.toml").write_text(tomlkit.dumps(document))
+
+    def start(self, name: str) -> None:
+        """Start a process and wait until it says that it is up."""
+        trace = self.folder / f"{name}.jsonl"
+        before = len(self.records(name))
+        arguments = list(self._commands[name])
+        if not name.endswith("-bus"):
+            arguments += ["--trace", str(trace)]
+        with (self.folder / f"{name}.log").open("ab") as log:
+            self._running[name] = subprocess.Popen(
+                [sys.executable, "-m", "straitlink", *arguments], stdout=log, stderr=log
+            )
+        if name.endswith("-bus"):
+            wait_until(lambda: b"open" in (self.folder / f"{name}.log").read_bytes())
+        else:
+            wait_until(lambda: len(self.records(name)) > before)
+
+    def start_all(self) -> None:
+        """Buses, link, shapers."""
+        for name in ("robot-bus", "operator-bus", "link", "robot", "operator"):
+            self.start(name)
+
+    def kill(self, name: str) -> None:
+        """kill -9."""
+        self._running[name].kill()
+        self._running[name].wait()
+
+    def bus(self, side: str) -> BusSettings:
+        """How to join the bus of a side."""
+        return BusSettings(
+            connect=[self.addresses.robot_bus if side == "robot" else self.addresses.operator_bus]
+        )
+
+    def records(self, name: str) -> list[dict[str, Any]]:
+        """The whole lines of a trace so far."""
+        path = self.folder / f"{name}.jsonl"
+        if not path.exists():
+            return []
+        found = []
+        for line in path.read_bytes().split(b"\n")[:-1]:
+            try:
+                found.append(json.loads(line))
+            except ValueError:
+                continue  # a killed process was writing it
+        return found
+
+    def __enter__(self) -> WireRig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._running.values():
+            process.terminate()
+        for process in self._running.values():
+            try:
+                process.wait(8)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    """Poll until something holds. Raises TimeoutError."""
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise TimeoutError(f"not within {timeout_s} s")
+        time.sleep(0.02)
