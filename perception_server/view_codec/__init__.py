@@ -12,7 +12,8 @@ from .draco import encode_draco
 from .errors import DecodeError, EncodeError, ViewCodecError
 from .image import encode_image
 from .jpeg import pack_jpeg, unpack_jpeg
-from .map_codec import MapView, decode_map, encode_map, warm_up
+from .kernels import warm_up
+from .map_codec import MapView, decode_map, encode_map
 from .octree import OctreeView, decode_octree, encode_octree
 
 __all__ = [

@@ -8,8 +8,19 @@ import cv2
 import numpy as np
 import pytest
 
-from perception_server.view_codec import EncodeError, encode_draco, encode_image, unpack_jpeg
+from perception_server.view_codec import (
+    EncodeError,
+    encode_cloud,
+    encode_draco,
+    encode_image,
+    unpack_jpeg,
+    warm_up,
+)
+from perception_server.view_codec.compiled import IS_COMPILED
 from perception_server.view_codec.image import ImageFormat
+from perception_server.view_codec.jpeg_context import _code_plane
+from perception_server.view_codec.jpeg_scan import _read_mcus, _write_mcus
+from perception_server.view_codec.occupancy_context import _code_level
 from tests.perception_server.view_codec.clouds import room_cloud
 from tests.perception_server.view_codec.test_jpeg import picture
 
@@ -83,3 +94,18 @@ def test_without_the_draco_extra_the_error_says_what_to_install(monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "DracoPy", None)
     with pytest.raises(EncodeError, match="straitlink\\[draco\\]"):
         encode_draco(room_cloud(5), bits=8)
+
+
+def test_the_warm_up_leaves_nothing_to_compile() -> None:
+    warm_up()
+    assert compiled_kernels() > 0 or not IS_COMPILED
+    before = compiled_kernels()
+    encode_image(picture(40, 40))
+    encode_cloud(room_cloud(50), bits=8)
+    assert compiled_kernels() == before
+
+
+def compiled_kernels() -> int:
+    """How many kernels of clouds and JPEGs are compiled."""
+    kernels = (_code_plane, _code_level, _read_mcus, _write_mcus)
+    return sum(len(getattr(kernel, "signatures", ())) for kernel in kernels)
