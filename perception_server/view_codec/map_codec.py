@@ -18,6 +18,7 @@ from .map_header import (
     HEADER_BYTES,
     MAX_CELLS,
     MAX_CONTEXT_CELLS,
+    MAX_LENGTH_M,
     MAX_SIDE,
     MapFlag,
     MapHeader,
@@ -195,7 +196,10 @@ def _checked_map(values: NDArray[np.float32]) -> NDArray[np.float32]:
     rows, columns = values.shape
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE and rows * columns <= MAX_CELLS):
         raise EncodeError(f"a map of {rows} x {columns} cells is outside 1..{MAX_CELLS} cells")
-    return np.where(np.isfinite(values), values, np.float32(np.nan))
+    known = np.where(np.isfinite(values), values, np.float32(np.nan))
+    if np.any(np.abs(known) > MAX_LENGTH_M):
+        raise EncodeError(f"a map's values must be within ±{MAX_LENGTH_M:g} m")
+    return known
 
 
 def _checked_fidelity(max_error_m: float | None, bits: int | None) -> int | None:

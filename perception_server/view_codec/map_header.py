@@ -13,6 +13,7 @@ from .errors import DecodeError
 MAX_CELLS = 1 << 17  # 362 x 362; bounds what a message of a few bytes can make a reader compute
 MAX_CONTEXT_CELLS = 1 << 16  # where each cell may cost 8 µs: half a second of noise at 16 bits
 MAX_SIDE = 4096
+MAX_LENGTH_M = 1e9  # of a value to send; what comes may lie ten times as far
 MAX_LEVELS = 65535  # 65535 itself is a hole where holes have a code
 _HEADER = struct.Struct("<BBHHHfff")
 HEADER_BYTES = _HEADER.size
@@ -68,4 +69,8 @@ def unpack_header(data: bytes) -> MapHeader:
         raise DecodeError(f"a map of {rows} x {columns} cells is outside 1..{MAX_CELLS} cells")
     if not all(map(math.isfinite, lengths_m)) or lengths_m[1] < 0 or lengths_m[2] < 0:
         raise DecodeError(f"a map's origin, step and error of {lengths_m} m are no lengths")
+    if abs(lengths_m[0]) + levels * lengths_m[1] > 10 * MAX_LENGTH_M:
+        raise DecodeError(
+            f"a map of {levels} steps of {lengths_m[1]} m from {lengths_m[0]} m is too far away"
+        )
     return MapHeader(CodecId(codec), MapFlag(flags), rows, columns, levels, *lengths_m)

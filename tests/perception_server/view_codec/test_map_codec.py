@@ -201,6 +201,15 @@ def test_a_large_map_takes_the_serpentine() -> None:
         decode_map(b"\x12" + encode_map(values, bits=8)[1:])
 
 
+def test_values_beyond_reason_are_refused_on_both_sides() -> None:
+    with pytest.raises(EncodeError, match="within"):
+        encode_map(np.array([[1.0, 2e9]], np.float32))
+    message = bytearray(encode_map(MAPS["terrain"], bits=8))
+    message[8:16] = np.array([0, 3e38], "<f4").tobytes()
+    with pytest.raises(DecodeError, match="too far away"):
+        decode_map(bytes(message))
+
+
 def decoded_or_refused(data: bytes) -> None:
     try:
         view = decode_map(data)
