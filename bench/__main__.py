@@ -12,6 +12,7 @@ MODULES = (
     "bench.codec",
     "bench.view_codec",
     "bench.encodings",
+    "bench.perception",
     "bench.delta",
     "bench.ingest",
     "bench.live_mission",

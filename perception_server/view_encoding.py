@@ -50,7 +50,8 @@ def encode_view(header: View, wish: ViewWish, points: ViewPoints, fidelity: Fide
     else:
         view.resolution_m = fidelity.resolution
         view.max_error_m = fidelity.resolution * 3**0.5 / 2  # from a leaf's middle to its corner
-        view.data = encode_octree(points.points_m, leaf_m=fidelity.resolution)
+        one_each = resample(points.points_m, fidelity.resolution)  # the coder would sort them all
+        view.data = encode_octree(one_each, leaf_m=fidelity.resolution)
     return view
 
 
