@@ -15,6 +15,7 @@ from typing import TypeAlias
 from messages.proto.straitlink.view_pb2 import (
     VIEW_STATUS_ACCEPTED,
     VIEW_STATUS_CANCELLED,
+    VIEW_STATUS_DOES_NOT_FIT,
     VIEW_STATUS_REFUSED,
     VIEW_STATUS_RENDERED,
     VIEW_STATUS_UNCHANGED,
@@ -37,6 +38,7 @@ MAX_ACTIVE = 32  # requests that repeat or wait
 DEFAULT_BUDGET_BYTES = 1_000_000  # of a view that nobody gives a budget for
 PULLED_FOR_NS = 30_000_000_000  # a key that was asked for is not published on for this long
 ASK_LASTS_NS = 3_000_000_000  # an asker that is still there has asked anew by then
+PATIENCE_NS = 10_000_000_000
 RETRY_NS = 500_000_000  # until what had no data, or did not fit, is tried again
 POLL_NS = 50_000_000  # between two looks whether there is new data for what is due
 _MAX_ANSWERS = 64
@@ -78,6 +80,7 @@ class _Active:
     period_ns: int  # 0 = once
     due_ns: int
     until_ns: int | None = None
+    patient_until_ns: int = 0  # before this, a budget of the moment that is too small is waited out
     standing: bool = False
     shown_ns: int | None = _NEVER_NS  # newest data of its last view
     failed_with: str = ""
@@ -145,7 +148,9 @@ class Dispatcher:
             )
         period_ns = request.period_ms * _NS_PER_MS
         until_ns = now_ns + request.duration_s * _NS_PER_S if period_ns and request.duration_s else None
-        self._requests[name] = _Active(self.requested_key, request, period_ns, now_ns, until_ns)
+        self._requests[name] = _Active(
+            self.requested_key, request, period_ns, now_ns, until_ns, now_ns + PATIENCE_NS
+        )
         self._say(request, Stage.ACCEPTED)
         return empty_reply(request, VIEW_STATUS_ACCEPTED)
 
@@ -223,12 +228,22 @@ class Dispatcher:
         status = Status(
             job.request.request_id, stage, job.key, reply.error, size_bytes, job.budget_bytes, source_ns
         )
+        if active is not None and self._may_yet_fit(active, job, reply, now_ns):
+            active.due_ns = now_ns + RETRY_NS
+            return None
         if active is None or not repeats:
             self._tell(status)
             if active is not None:
                 del self._requests[_name(job.request)]
             return reply
         return self._advance(active, reply, status, now_ns)
+
+    def _may_yet_fit(self, active: _Active, job: Job, reply: Reply, now_ns: int) -> bool:
+        """Whether it was the scheduler's budget of the moment that one view did not fit."""
+        if reply.status != VIEW_STATUS_DOES_NOT_FIT or active.period_ns or not job.pulled:
+            return False
+        own_bytes = job.request.budget_bytes
+        return now_ns < active.patient_until_ns and not 0 < own_bytes < reply.smallest_bytes
 
     def _advance(self, active: _Active, reply: Reply, status: Status, now_ns: int) -> Reply | None:
         """Let what repeats fall due anew. A failure is told once, and on a standing stream's key never."""

@@ -63,6 +63,7 @@ class Desk:
         made = job.reply
         if made is None:
             made = Image(request_id=job.request.request_id, status=self.status, data=b"x")  # type: ignore[arg-type]
+            made.smallest_bytes = 900
         left = self.dispatcher.finish(job, made, self.newest_ns or 0, self.now_ns)
         if left is not None:
             self.left.append((self.now_ns, job, left))
@@ -237,6 +238,19 @@ def test_a_failure_is_told_at_once_of_one_request_once_of_what_repeats_and_a_str
     desk.status = VIEW_STATUS_RENDERED
     desk.advance(2 * S)
     assert desk.stages(0)[1] == desk.stages(2)[2] == "rendered"
+
+
+def test_one_view_waits_for_a_larger_budget_but_not_for_ever() -> None:
+    desk = Desk(status=VIEW_STATUS_DOES_NOT_FIT)
+    for number in (1, 2):
+        desk.dispatcher.request(ImageRequest(request_id=number, budget_bytes=number - 1), 0)
+    for _ in range(20):
+        desk.dispatcher.asked(REQUESTED, 300, desk.now_ns)
+        desk.advance(1 * S)
+    assert desk.stages(1) == desk.stages(2) == ["accepted", "failed"]
+    left_ns = {reply.request_id: at_ns for at_ns, _, reply in desk.left}
+    assert left_ns[2] < 1 * S  # its own budget is too small: waiting does not help
+    assert 10 * S <= left_ns[1] < 12 * S
 
 
 def test_what_fails_keeps_the_asker_for_the_next_that_works() -> None:
