@@ -1,0 +1,216 @@
+"""Coverage-guided fuzzing of everything that reads bytes from the network.
+
+    pip install .[fuzz]
+    python tools/fuzz_wire.py datagram -max_total_time=600       # any option of libFuzzer
+    python tools/fuzz_wire.py --seeds                            # writes the seed corpus anew
+
+A target returns or raises DecodeError; whatever else it raises is a finding, and so is an input that takes
+longer than a second or more than 512 MB. Seeds: tests/fuzz_corpus, which a test runs too.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+import tempfile
+import zlib
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from typing import Any
+
+try:
+    import atheris
+except ImportError:  # the targets are of use without it
+    atheris = None
+
+ROOT = Path(__file__).resolve().parents[1]
+CORPUS = ROOT / "tests" / "fuzz_corpus"
+sys.path.insert(0, str(ROOT))
+
+with nullcontext() if atheris is None else atheris.instrument_imports(include=["shaper"]):
+    from shaper.agreement import make_table, unpack_table
+    from shaper.compression import unpack
+    from shaper.datagram import decode_datagram
+    from shaper.endpoint import Endpoint, EndpointSettings
+    from shaper.errors import DecodeError
+    from shaper.handshake import Hello, Identity, decode_hello, encode_hello
+    from shaper.incoming import Limits
+    from shaper.link_end import LinkEnd
+    from shaper.link_estimator import PresetBand, PresetBands
+    from shaper.link_key import LinkKey
+    from shaper.parity import decode_shares, encode_shares
+    from shaper.secure_channel import SecureChannel
+    from shaper.shared_state import decode_entries, encode_entries
+    from shaper.table_exchange import TableExchange
+    from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
+
+_KEY = LinkKey(b"fuzz", bytes(32))
+_HERE, _THERE = ("10.0.0.1", 1), ("10.0.0.2", 2)
+_LIMITS = Limits(max_topics=16, max_message_bytes=20_000, max_reassembly_bytes=50_000)
+_RULES = tuple(TopicRule(f"*/{name}/**", each) for name, each in DEFAULT_CLASSES.items())
+_S = 1_000_000_000
+
+
+def datagram(data: bytes) -> None:
+    """Header and frames."""
+    decode_datagram(data)
+
+
+def endpoint(data: bytes) -> None:
+    """Datagrams one after the other (each with its length in front), into an endpoint that answers."""
+    now_ns = 10 * _S
+    victim = _endpoint(now_ns)
+    for part in _split(data):
+        victim.receive_datagram(part, now_ns)
+        now_ns += 20_000_000
+        while victim.next_datagram(now_ns) is not None:
+            pass
+        while victim.next_event() is not None:
+            pass
+    held_bytes = victim.held_bytes
+    assert held_bytes <= 3 * _LIMITS.max_reassembly_bytes, f"{held_bytes} bytes are held"
+
+
+def channel(data: bytes) -> None:
+    """Datagrams from anywhere, into a channel without a session."""
+    victim = _link(10 * _S)
+    for part in _split(data):
+        victim.receive(part, _THERE, 11 * _S)
+        while victim.channel.next_handshake(11 * _S) is not None:
+            pass
+
+
+def control(data: bytes) -> None:
+    """What the peer's channel says, once it is opened."""
+    victim = _link(10 * _S)
+    assert victim.tables is not None
+    victim.tables.meet(b"somehash", 10 * _S)
+    for part in _split(data):
+        victim._on_control(part, 11 * _S)
+
+
+def state(data: bytes) -> None:
+    """The entries of a shared state."""
+    decode_entries(data)
+
+
+def table(data: bytes) -> None:
+    """A topic table: packed, and as the text that it unpacks to."""
+    for packed in (data, zlib.compress(data)):
+        try:
+            unpack_table(packed)
+        except DecodeError:
+            continue
+
+
+def hello(data: bytes) -> None:
+    """The payload of a handshake."""
+    decode_hello(data)
+
+
+def shares(data: bytes) -> None:
+    """An erasure code's shares."""
+    parts = list(_split(data))
+    if parts and len(parts[0]) >= 2:
+        needed, total = parts[0][0], parts[0][1] * 10
+        if 0 < needed <= total:
+            decode_shares({i * 3 % 256: part for i, part in enumerate(parts[1:])}, needed, total)
+
+
+def compressed(data: bytes) -> None:
+    """A compressed payload."""
+    unpack(data, 20_000)
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    each.__name__: each
+    for each in (datagram, endpoint, channel, control, state, table, hello, shares, compressed)
+}
+
+
+def run_target(name: str, data: bytes) -> None:
+    """One input: returns, or raises what is a finding."""
+    with suppress(DecodeError):
+        TARGETS[name](data)
+
+
+def seeds() -> dict[str, list[bytes]]:
+    """What the targets start from: true datagrams, of which the fuzzer makes others."""
+    golden = json.loads((ROOT / "tests" / "golden" / "datagrams.json").read_text())
+    datagrams = [bytes.fromhex(text) for text in golden.values()]
+    tables = make_table(_RULES, ["robot/**"], {})
+    noise = random.Random(1)
+    link = _link(0)
+    handshakes = []
+    for _ in range(3):
+        outgoing = link.channel.next_handshake(0)
+        handshakes += [outgoing[0]] if outgoing else []
+    return {
+        "datagram": datagrams,
+        "endpoint": [_join(datagrams[i : i + 4]) for i in range(0, len(datagrams), 3)],
+        "channel": [_join([*handshakes, bytes([2]) + noise.randbytes(60), bytes([4]) + noise.randbytes(78)])],
+        "control": [_join([b"", b"\x01" + bytes(50), b"\x02\xb0\x04", b"\x04somehash\x00\x01x", b"\x03"])],
+        "state": [encode_entries({1: b"one", 7: b""}, whole=True), encode_entries({9: b"x"}, whole=False)],
+        "table": [tables.packed(), b'{"sends":{"a":{"class":"x"}},"takes":["**"],"reads":[]}'],
+        "hello": [encode_hello(Hello(7, 1_750_000_000 * _S, Identity(9, bytes(8), bytes(8))))],
+        "shares": [_join([bytes([3, 6]), *encode_shares(bytes(60), 3, 2)])],
+        "compressed": [bytes.fromhex("28b52ffd0400410000" + "61" * 8)],
+    }
+
+
+def _join(parts: Iterable[bytes]) -> bytes:
+    return b"".join(len(part).to_bytes(2, "little") + part for part in parts)
+
+
+def _split(data: bytes) -> Iterable[bytes]:
+    at = 0
+    while at + 2 <= len(data):
+        size = int.from_bytes(data[at : at + 2], "little") % 1500
+        yield data[at + 2 : at + 2 + size]
+        at += 2 + size
+
+
+def _endpoint(now_ns: int) -> Endpoint:
+    estimator = PresetBands((PresetBand("only", 1_000_000, 50_000_000),), now_ns=now_ns)
+    made = Endpoint(EndpointSettings(_RULES, limits=_LIMITS), estimator, 0xCAFE, now_ns, 1_750_000_000 * _S)
+    for key in ("robot/command/a", "robot/state/a", "robot/status/a"):
+        made.offer(key, bytes(40), now_ns, now_ns)
+    return made
+
+
+def _link(now_ns: int) -> LinkEnd:
+    tables = TableExchange(make_table(_RULES, ["**"], {}))
+    identity = Identity(1, bytes(8), tables.hash)
+    source = random.Random(1).randbytes
+    channel = SecureChannel("robot", [_KEY], identity, _THERE, source, now_ns, 1_750_000_000 * _S)
+    return LinkEnd(_endpoint(now_ns), channel, None, tables)
+
+
+def _write_seeds() -> None:
+    for name, inputs in seeds().items():
+        folder = CORPUS / name
+        folder.mkdir(parents=True, exist_ok=True)
+        for index, data in enumerate(inputs):
+            (folder / f"{index:02}").write_bytes(data)
+
+
+def main(arguments: list[str]) -> None:
+    """Fuzz one target for as long as libFuzzer's options say."""
+    if arguments == ["--seeds"]:
+        return _write_seeds()
+    if not arguments or arguments[0] not in TARGETS:
+        sys.exit(f"usage: fuzz_wire.py TARGET [libFuzzer options] | --seeds; targets: {', '.join(TARGETS)}")
+    if atheris is None:
+        sys.exit("atheris is not installed: pip install .[fuzz]")
+    name, *options = arguments
+    limits = ["-timeout=1", "-rss_limit_mb=512", "-max_len=4096"]
+    with tempfile.TemporaryDirectory() as found:  # libFuzzer adds what it finds to the first folder
+        command: list[Any] = [sys.argv[0], *limits, *options, found, str(CORPUS / name)]
+        atheris.Setup(command, lambda data: run_target(name, data))
+        atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
