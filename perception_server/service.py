@@ -80,6 +80,7 @@ class PerceptionService:
     """Open from construction to `close`; Zenoh's threads only leave notes here."""
 
     def __init__(self, session: zenoh.Session, settings: ServiceSettings, sensors: Sensors) -> None:
+        self.samples_dropped = 0
         self._session = session
         self._settings = settings
         self._sensors = sensors
@@ -135,6 +136,7 @@ class PerceptionService:
     # What Zenoh's threads leave.
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
+        self.samples_dropped += len(self._samples) == _MAX_WAITING_SAMPLES  # the oldest gives way
         self._samples.append(sample)
         self._arrived.set()
 

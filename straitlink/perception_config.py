@@ -134,7 +134,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "server": ServerTable,
     "history": HistoryTable,
     "frames": FramesTable,
-    "frames.self_boxes": SelfBoxTable,
+    "self_boxes": SelfBoxTable,
     "inputs": InputTable,
     "views": ViewTable,
 }

@@ -6,6 +6,8 @@ import logging
 import threading
 from collections.abc import Callable
 
+import zenoh
+
 from messages.proto.straitlink.view_pb2 import Image
 from perception_server.dispatch import Reply
 from perception_server.geometry_inputs import GeometryInputs, ScanTiming
@@ -14,10 +16,11 @@ from perception_server.sensors import SensorHistory
 from perception_server.service import PerceptionService, ServiceSettings
 from perception_server.view_codec import DecodeError
 from perception_server.warm_up import warm_up
-from shaper.bus import open_bus
+from shaper.bus import BusError, BusSettings, open_bus
 from straitlink.perception_config import PerceptionConfig
 
 _log = logging.getLogger(__name__)
+_BUS_RETRY_S = 1.0
 _FOXGLOVE_IMAGE = "application/protobuf;foxglove.CompressedImage"
 
 
@@ -40,16 +43,33 @@ def serve_views(
         image_requests=config.server.image_requests,
         convert={key: as_foxglove for key in config.foxglove_keys},
     )
-    session = open_bus(config.bus)
+    session = open_when_there(config.bus, stop)
+    if session is None:
+        return {}
     try:
         service = PerceptionService(session, settings, sensors)
         on_open()
         warm_up_beside()
         stop.wait()
         service.close()
+        if service.samples_dropped:
+            sensors.counters["samples dropped: too many at once"] = service.samples_dropped
     finally:
         session.close()
     return {**sensors.counters, **sensors.history_counters}
+
+
+def open_when_there(bus: BusSettings, stop: threading.Event) -> zenoh.Session | None:
+    """The bus, waiting for one that we only connect to; None if asked to stop before. Raises BusError."""
+    while not stop.is_set():
+        try:
+            return open_bus(bus)
+        except BusError as error:
+            if bus.listen:
+                raise
+            _log.warning("%s; trying again", error)
+            stop.wait(_BUS_RETRY_S)
+    return None
 
 
 def warm_up_beside() -> None:

@@ -10,6 +10,7 @@ from perception_server.dispatch import Request
 from perception_server.errors import RequestError
 from perception_server.image_wish import IMAGE_PRESETS
 from perception_server.sensors import check_request
+from perception_server.view_presets import VIEW_PRESETS
 
 _KINDS: dict[str, RequestType] = {"image": ImageRequest, "view": ViewRequest}
 _REGION = ("x_px", "y_px", "width_px", "height_px")
@@ -30,7 +31,11 @@ def request_of(words: Sequence[str]) -> Request:
         else:
             raise RequestError(f"{word!r}: expected field=value")
     if kind is None:
-        kind = ImageRequest if fields.get("preset", "") in IMAGE_PRESETS else ViewRequest
+        preset = fields.get("preset", "")
+        if preset and preset not in IMAGE_PRESETS and preset not in VIEW_PRESETS:
+            known = ", ".join((*IMAGE_PRESETS, *VIEW_PRESETS))
+            raise RequestError(f"preset = {preset!r}: must be one of {known}")
+        kind = ImageRequest if preset in IMAGE_PRESETS else ViewRequest
     request = request_from_fields(kind, fields)
     if request.period_ms:
         raise RequestError(f"period_ms = {request.period_ms}: one view is requested; publish what repeats")

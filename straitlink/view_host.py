@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import zenoh
 
 from perception_server.decoded import ViewDecoder
-from shaper.bus import BusSettings, open_bus
-from straitlink.perception_host import warm_up_beside
+from shaper.bus import BusSettings
+from straitlink.perception_host import open_when_there, warm_up_beside
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,9 @@ def show_views(settings: ViewHostSettings, on_open: Callable[[], None] = lambda:
     keeps its attachment: the capture time on the robot.
     """
     decoder = ViewDecoder()
-    session = open_bus(settings.bus)
+    session = open_when_there(settings.bus, settings.stop)
+    if session is None:
+        return {}
 
     def take(sample: zenoh.Sample) -> None:
         for shown in decoder.take(str(sample.encoding), sample.payload.to_bytes()):

@@ -95,6 +95,24 @@ def test_damaged_messages_are_counted_and_the_next_is_shown(
     assert decoder.take(encoding, sound)
 
 
+FORMS = ("FORMAT_HEIGHT_MAP", "FORMAT_RANGE_MAP", "FORMAT_CLOUD", "FORMAT_OCTREE")
+ALL_SENT = (*((VIEW_ENCODING, view(form).SerializeToString()) for form in FORMS), SENT[1])
+
+
+@settings(max_examples=40)
+@given(st.lists(st.sampled_from(ALL_SENT), max_size=8))
+def test_whatever_is_lost_doubled_or_reordered_the_rest_shows_as_if_it_were_alone(
+    arriving: list[tuple[str, bytes]],
+) -> None:
+    decoder = ViewDecoder()
+    for each in arriving:
+        assert decoder.take(*each) == ALONE[each]
+    assert decoder.refused == 0
+
+
+ALONE = {each: ViewDecoder().take(*each) for each in ALL_SENT}
+
+
 @pytest.mark.parametrize("form", ["FORMAT_HEIGHT_MAP", "FORMAT_RANGE_MAP", "FORMAT_CLOUD", "FORMAT_OCTREE"])
 def test_every_view_can_be_looked_at_and_its_points_are_read_by_others(form: str) -> None:
     decoded = decode_view_message(view(form))

@@ -51,6 +51,10 @@ def test_what_is_not_said_has_the_core_s_defaults(tmp_path: Path) -> None:
         ("[history]\nduration_s = 0", "history.duration_s = 0: input should be greater than or equal to 1"),
         ("[history]\nscans = 3", "history.scans = 3: unknown key; expected one of duration_s"),
         ("[inputs.tail]\nkey = 'robot/*'", 'inputs.tail.key = "robot/*": expected a Zenoh key without'),
+        (
+            "[[frames.self_boxes]]\nframe = 'torso'\nlow_m = [0, 0, 0]\nhigh_m = [1, 1, 1]\nname = 'x'",
+            'frames.self_boxes[0].name = "x": unknown key; expected one of frame, low_m, high_m',
+        ),
         ("[views.a]\nkind = 'video'\nrequest = {}", 'views.a.kind = "video": '),
         ("[views.a]\nkind = 'image'", "views.a.request: is missing"),
         ("[views.a]\nkind = 'image'\nrequest = { quality = 101 }", "views.a.request.quality = 101: must be"),
@@ -96,6 +100,7 @@ def test_a_request_is_typed_as_a_preset_and_fields() -> None:
         (["head_low", "quality=0"], "quality = 0: must be within 1..100"),
         (["chip", "chips=1,2"], "chips = '1,2': expected x,y,width,height"),
         (["head_low", "period_ms=500"], "period_ms = 500: one view is requested"),
+        (["tail_low"], "preset = 'tail_low': must be one of head_low, head_high, chest"),
         (["image", "tail_low"], "preset = 'tail_low': must be one of head_low"),
     ],
 )
