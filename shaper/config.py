@@ -120,6 +120,10 @@ class _LimitsTable(_Table):
     max_reassembly_wait_s: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] = (
         Limits().max_reassembly_wait_ns / _NS_PER_S
     )
+    max_unfinished_messages: Annotated[int, Field(ge=1, le=1_000_000)] = Limits().max_unfinished_messages
+    max_receipts: Annotated[int, Field(ge=64, le=1_000_000)] = Limits().max_receipts
+    max_journal_messages: Annotated[int, Field(ge=1, le=1_000_000)] = Limits().max_journal_messages
+    max_journal_bytes: Annotated[int, Field(ge=1000, le=4_000_000_000)] = Limits().max_journal_bytes
 
 
 class _MetricsTable(_Table):
@@ -410,6 +414,10 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
         table.limits.max_message_bytes,
         table.limits.max_reassembly_bytes,
         round(table.limits.max_reassembly_wait_s * _NS_PER_S),
+        table.limits.max_unfinished_messages,
+        table.limits.max_receipts,
+        table.limits.max_journal_messages,
+        table.limits.max_journal_bytes,
     )
     link = table.link
     if table.operator_lost is not None and link.side != "robot":

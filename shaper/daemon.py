@@ -76,7 +76,7 @@ class Daemon:
             config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES, now_ns
         )
         self._keys = read_keys(config)
-        self._journal = None if config.journal is None else JournalFile(config.journal, secrets.token_bytes)
+        self._journal = _open_journal(config)
         if self._journal is None:
             epoch, memory = secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES)
         else:
@@ -377,6 +377,15 @@ def read_keys(config: ShaperConfig) -> tuple[LinkKey, ...]:
         if key.id in {other.id for other in keys[:index]}:
             raise ConfigError(f"{config.key_files[index]}: key {key.name} stands twice in link.keys")
     return keys
+
+
+def _open_journal(config: ShaperConfig) -> JournalFile | None:
+    if config.journal is None:
+        return None
+    limits = config.endpoint.limits
+    return JournalFile(
+        config.journal, secrets.token_bytes, limits.max_journal_messages, limits.max_journal_bytes
+    )
 
 
 def _capture_ns(stamp: Stamp | None, received_ns: int, unix_minus_monotonic_ns: int) -> int:

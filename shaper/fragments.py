@@ -39,10 +39,14 @@ class Reassembler:
 
     max_bytes: data and bookkeeping of all unfinished messages together.
     max_message_bytes: a message that declares more is refused.
-    max_wait_ns: an unfinished message older than this is given up.
+    max_wait_ns: an unfinished message older than this is given up. max_messages: unfinished at a time, in
+    parts or under parity.
     """
 
-    def __init__(self, max_bytes: int, max_message_bytes: int, max_wait_ns: int) -> None:
+    def __init__(
+        self, max_bytes: int, max_message_bytes: int, max_wait_ns: int, max_messages: int = 4096
+    ) -> None:
+        self.max_messages = max_messages
         self.max_bytes = max_bytes
         self.max_message_bytes = max_message_bytes
         self.max_wait_ns = max_wait_ns
@@ -123,7 +127,7 @@ class Reassembler:
         self.held_bytes += len(data) + PART_OVERHEAD_BYTES
 
     def _shed(self) -> None:
-        while self.held_bytes > self.max_bytes:
+        while self.held_bytes > self.max_bytes or len(self._partials) > self.max_messages:
             self._give_up(next(iter(self._partials)))
 
     def _finish(self, key: Key, partial: _Partial, data: bytes) -> Reassembled:

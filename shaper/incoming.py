@@ -38,7 +38,6 @@ from shaper.trouble import TroubleTeller
 from shaper.wire_type import Encodings
 
 _MAX_EARLIER = 40  # arrivals named in one report beside the newest
-_MAX_RECEIPTS = 4096  # that wait to be told; a sender of ours has fewer messages outstanding
 _STREAM_NS = 500_000_000  # who promises the next datagram for sooner has more to send
 _SILENCE_NS = 300_000_000  # without a datagram for so long, the next one is reported on at once
 _NS_PER_MS = 1_000_000
@@ -56,6 +55,10 @@ class Limits:
     max_message_bytes: int = 4_000_000
     max_reassembly_bytes: int = 16_000_000
     max_reassembly_wait_ns: int = 60_000_000_000
+    max_unfinished_messages: int = 4096
+    max_receipts: int = 4096
+    max_journal_messages: int = 4096
+    max_journal_bytes: int = 16_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +114,16 @@ class Incoming:
         self._inboxes: dict[tuple[str, type[Inbox]], Inbox] = {}
         self._waiting_budget = Budget(limits.max_reassembly_bytes)
         self._states_budget = Budget(limits.max_reassembly_bytes)
-        self._receipts: deque[tuple[int, int, Outcome]] = deque(maxlen=_MAX_RECEIPTS)
+        self._receipts: deque[tuple[int, int, Outcome]] = deque(maxlen=limits.max_receipts)
         self._to_confirm: dict[int, None] = {}
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_MAX_EARLIER + 1)
         self._largest_arrival = (-1, 0)
         self._unix_minus_stamp_ns: int | None = None
         self._reassembler = Reassembler(
-            limits.max_reassembly_bytes, limits.max_message_bytes, limits.max_reassembly_wait_ns
+            limits.max_reassembly_bytes,
+            limits.max_message_bytes,
+            limits.max_reassembly_wait_ns,
+            limits.max_unfinished_messages,
         )
 
     def refuse(self, key_expressions: tuple[str, ...]) -> None:

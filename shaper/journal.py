@@ -14,6 +14,7 @@ from typing import Protocol
 from shaper.frames import Outcome
 
 REMEMBERED_OUTCOMES = 128  # of each topic: more than a sender has under way
+MAX_TOPICS = 4096  # of peers, whose outcomes are remembered
 MAX_MEMORIES = 4  # of former peers: a peer whose own journal is gone comes as another
 
 
@@ -112,7 +113,10 @@ class MemoryJournal:
     def record(self, memory: bytes, key: str, number: int, outcome: Outcome | None) -> None:
         if memory not in self._theirs and len(self._theirs) >= MAX_MEMORIES:
             del self._theirs[next(iter(self._theirs))]
-        outcomes = self._theirs.setdefault(memory, {}).setdefault(key, {})
+        topics = self._theirs.setdefault(memory, {})
+        if key not in topics and len(topics) >= MAX_TOPICS:
+            del topics[next(iter(topics))]
+        outcomes = topics.setdefault(key, {})
         outcomes[number] = outcome
         while len(outcomes) > REMEMBERED_OUTCOMES:
             del outcomes[min(outcomes)]

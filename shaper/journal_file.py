@@ -15,7 +15,7 @@ from pathlib import Path
 from shaper.errors import ConfigError
 from shaper.frames import Outcome
 from shaper.handshake import MEMORY_BYTES
-from shaper.journal import MAX_MEMORIES, REMEMBERED_OUTCOMES, OwnMessage
+from shaper.journal import MAX_MEMORIES, MAX_TOPICS, REMEMBERED_OUTCOMES, OwnMessage
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _FORMAT = 1
@@ -52,6 +52,8 @@ class JournalFile:
         self._rows, self._bytes = self._db.execute(
             "SELECT count(*), coalesce(sum(length(payload)), 0) FROM own"
         ).fetchone()
+        topics = self._db.execute("SELECT DISTINCT memory, key FROM theirs ORDER BY memory")
+        self._topics: dict[tuple[int, str], None] = dict.fromkeys(topics.fetchall())
 
     def close(self) -> None:
         """Close the file; what is in it stays."""
@@ -106,9 +108,19 @@ class JournalFile:
         place = self._memory_id(memory)
         value = _HANDING_OVER if outcome is None else int(outcome)
         self._db.execute("INSERT OR REPLACE INTO theirs VALUES (?, ?, ?, ?)", (place, key, number, value))
-        if outcome is None and number % REMEMBERED_OUTCOMES == 0:
+        if number % REMEMBERED_OUTCOMES == 0:
             old = (place, key, number - REMEMBERED_OUTCOMES)
             self._db.execute("DELETE FROM theirs WHERE memory = ? AND key = ? AND number < ?", old)
+        if (place, key) not in self._topics:
+            self._add_topic(place, key)
+
+    def _add_topic(self, place: int, key: str) -> None:
+        """The peer names the topics: of too many the oldest gives way."""
+        self._topics[place, key] = None
+        if len(self._topics) > MAX_TOPICS:
+            oldest = next(iter(self._topics))
+            del self._topics[oldest]
+            self._db.execute("DELETE FROM theirs WHERE memory = ? AND key = ?", oldest)
 
     def meet(self, memory: bytes) -> None:
         self.peer_memory = memory

@@ -5,7 +5,7 @@
     python tools/fuzz_wire.py --seeds                            # writes the seed corpus anew
 
 A target returns or raises DecodeError; whatever else it raises is a finding, and so is an input that takes
-longer than a second or more than 512 MB. Seeds: tests/fuzz_corpus, which a test runs too.
+longer than ten seconds or more than 512 MB. Seeds: tests/fuzz_corpus, which a test runs too.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def main(arguments: list[str]) -> None:
     if atheris is None:
         sys.exit("atheris is not installed: pip install .[fuzz]")
     name, *options = arguments
-    limits = ["-timeout=1", "-rss_limit_mb=512", "-max_len=4096"]
+    limits = ["-timeout=10", "-rss_limit_mb=512", "-max_len=4096"]
     with tempfile.TemporaryDirectory() as found:  # libFuzzer adds what it finds to the first folder
         command: list[Any] = [sys.argv[0], *limits, *options, found, str(CORPUS / name)]
         atheris.Setup(command, lambda data: run_target(name, data))

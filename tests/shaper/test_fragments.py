@@ -158,3 +158,11 @@ def test_no_flood_of_parts_holds_more_than_the_limit(
         assert r.held_bytes >= len(r) * (PART_OVERHEAD_BYTES + 1)
     actually_held = sum(p.held_bytes for p in r._partials.values())
     assert actually_held == r.held_bytes
+
+
+def test_no_more_messages_are_unfinished_than_may_be() -> None:
+    reassembler = Reassembler(1_000_000, 1000, 1_000_000_000, max_messages=10)
+    for number in range(100):
+        assert reassembler.add((0, number), 0, 100, b"part", 0, 0) is None
+        assert len(reassembler) <= 10
+    assert reassembler.given_up == 90

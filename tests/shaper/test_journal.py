@@ -232,6 +232,17 @@ def test_a_journal_file_gives_back_what_was_written(tmp_path: Path) -> None:
     assert again.outcomes(b"the peer", "b") == {3: None}
 
 
+def test_a_peer_that_names_ever_new_topics_does_not_fill_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shaper.journal_file.MAX_TOPICS", 20)
+    journal = JournalFile(tmp_path / "a.journal", random.Random(1).randbytes)
+    for i in range(1000):
+        journal.record(b"peer", f"topic/{i}", 0, Outcome.DELIVERED)
+    (rows,) = journal._db.execute("SELECT count(*) FROM theirs").fetchone()
+    assert rows == 20
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_two_lives_have_the_same_epoch(tmp_path: Path, kind: Kinds) -> None:
     journal = kind(tmp_path)
