@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from messages.payload import StreamEncoding, TopicEncoding
 from shaper.bus import BusSettings
 from shaper.encodings import EncodingTable, build_encoding
-from shaper.endpoint import EndpointSettings
+from shaper.endpoint_settings import EndpointSettings
 from shaper.errors import ConfigError
 from shaper.incoming import Limits
 from shaper.key_expression import check_key_expression, is_key

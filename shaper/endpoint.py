@@ -8,8 +8,8 @@ what has happened, and says when to come back. The same class runs live, in virt
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import asdict
 
 from shaper.datagram import (
     append_hello,
@@ -21,6 +21,7 @@ from shaper.datagram import (
     decode_datagram,
     write_header,
 )
+from shaper.endpoint_settings import Counters, EndpointSettings
 from shaper.errors import DecodeError
 from shaper.events import Event, LinkState, PeerStarted, Wanted
 from shaper.frames import (
@@ -36,7 +37,7 @@ from shaper.frames import (
     ReportFrame,
     SkipFrame,
 )
-from shaper.incoming import Incoming, Limits
+from shaper.incoming import Incoming
 from shaper.journal import Journal
 from shaper.ledger import ReceivedLedger, SentLedger
 from shaper.ledger_exchange import LedgerExchange
@@ -49,45 +50,10 @@ from shaper.promise import PROMISES_NS
 from shaper.queues import Payload, TopicQueue
 from shaper.settled import Settled
 from shaper.timers import Due, Timers
-from shaper.traffic_class import TopicRule
-from shaper.wire_type import Encodings
 
 _CONFIRMATIONS_PER_DATAGRAM = 32  # topics or messages at a time; more wait for the next datagram
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 _RETIRED_EPOCHS = 8  # former lives of the peer whose late datagrams are recognised
-
-
-@dataclass(frozen=True, slots=True)
-class EndpointSettings:
-    """What an endpoint needs to know; `shaper.config` makes it from TOML.
-
-    rules: topics that this side sends, first match wins. accept: key expressions that it takes.
-    max_datagram_bytes: UDP payload, excluding IP and UDP headers. protection_bytes: what the channel adds
-    to each datagram; part of max_datagram_bytes.
-    guaranteed: by tier, the share (0..1) of the bytes that it gets whatever the tiers above it want.
-    encodings: by digest, those in which this side can read messages (`shaper.wire_type.by_digest`).
-    """
-
-    rules: tuple[TopicRule, ...]
-    accept: tuple[str, ...] = ("**",)
-    max_datagram_bytes: int = 1200
-    limits: Limits = field(default_factory=Limits)
-    guaranteed: Mapping[int, float] = field(default_factory=dict)
-    encodings: Encodings = field(default_factory=dict)
-    protection_bytes: int = 0
-
-
-@dataclass(slots=True)
-class Counters:
-    """Datagrams, and why some were dropped."""
-
-    sent_datagrams: int = 0
-    sent_wire_bytes: int = 0
-    received_datagrams: int = 0
-    received_wire_bytes: int = 0
-    malformed: int = 0
-    duplicate: int = 0
-    stale_epoch: int = 0
 
 
 class Endpoint:

@@ -33,7 +33,8 @@ with nullcontext() if atheris is None else atheris.instrument_imports(include=["
     from shaper.agreement import make_table, unpack_table
     from shaper.compression import unpack
     from shaper.datagram import decode_datagram
-    from shaper.endpoint import Endpoint, EndpointSettings
+    from shaper.endpoint import Endpoint
+    from shaper.endpoint_settings import EndpointSettings
     from shaper.errors import DecodeError
     from shaper.handshake import Hello, Identity, decode_hello, encode_hello
     from shaper.incoming import Limits

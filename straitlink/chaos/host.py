@@ -5,13 +5,15 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
-from shaper.endpoint import Endpoint, EndpointSettings
+from shaper.endpoint import Endpoint
+from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event, Receipt
 from shaper.handshake import TABLE_HASH_BYTES, Identity, Side
 from shaper.journal import MemoryJournal
 from shaper.link_end import LinkEnd, pump_link
 from shaper.link_estimator import PresetBand, PresetBands
 from shaper.link_key import LinkKey
+from shaper.operator_lost import OperatorLostSettings, OperatorWatch
 from shaper.secure_channel import Address, SecureChannel
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
 from straitlink.chaos.faults import NS_PER_S
@@ -27,6 +29,7 @@ RULES = tuple(
     for name, traffic_class in DEFAULT_CLASSES.items()
     if name != "status"
 )
+_OPERATOR_LOST = OperatorLostSettings("robot/operator_lost", b"stand still", after_ns=5 * NS_PER_S)
 Send = Callable[[bytes, Address, Address], None]
 
 
@@ -69,7 +72,8 @@ class ChaosHost:
         settings = EndpointSettings(RULES, limits=LIMITS, protection_bytes=channel.overhead_bytes)
         estimator = PresetBands(_BANDS, now_ns=now_ns)
         endpoint = Endpoint(settings, estimator, identity.epoch, now_ns, unix_ns, self._journal)
-        self.link = LinkEnd(endpoint, channel)
+        watch = OperatorWatch(_OPERATOR_LOST, now_ns) if self.side == "robot" else None
+        self.link = LinkEnd(endpoint, channel, watch)
         self.lives += 1
         self._kill_in = 0
         self.wakeup_ns = true_ns

@@ -250,5 +250,8 @@ class _Chaos:
             for key, ledger in host.link.endpoint.sent_ledgers().items():
                 if ledger.queued:
                     raise BrokenInvariant(f"{key}: {ledger.queued} messages are still open in the ledger")
+        robot = self.hosts["robot"].link
+        if robot is None or robot.watch is None or robot.watch.lost:
+            raise BrokenInvariant("the robot's side still takes the operator for lost")
         lost = offered - delivered
         return ChaosReport(self.seed, self._kills, offered, delivered, lost, self._digest.hexdigest())

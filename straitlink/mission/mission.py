@@ -13,7 +13,8 @@ from netem_scripts.band import Band, DirectionProfile, Profile
 from netem_scripts.event_loop import EventLoop
 from netem_scripts.link import Link
 from netem_scripts.records import BandRecord, PacketRecord, StartRecord, event_of
-from shaper.endpoint import Endpoint, EndpointSettings
+from shaper.endpoint import Endpoint
+from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity, Side, other_side

@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from shaper.datagram import decode_datagram
-from shaper.endpoint import Endpoint, EndpointSettings, pump
+from shaper.endpoint import Endpoint, pump
+from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt
 from shaper.frames import Frame, Header
 from shaper.incoming import Limits

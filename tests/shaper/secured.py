@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from shaper.agreement import make_table
-from shaper.endpoint import Endpoint, EndpointSettings
+from shaper.endpoint import Endpoint
+from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event, Receipt
 from shaper.handshake import Identity, Side
 from shaper.incoming import Limits

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from messages.payload.bounded import BoundedEncoding
 from messages.proto.dccl import option_extensions_pb2 as options
 from shaper.agreement import TopicTable, differences, make_table, table_hash, unpack_table
-from shaper.endpoint import EndpointSettings
+from shaper.endpoint_settings import EndpointSettings
 from shaper.errors import DecodeError
 from shaper.handshake import Side
 from shaper.notices import NoticeKind

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from messages.attachment import Stamp
 from shaper.datagram import decode_datagram
-from shaper.endpoint import Endpoint, EndpointSettings, pump
+from shaper.endpoint import Endpoint, pump
+from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event
 from shaper.frames import (
     Frame,
