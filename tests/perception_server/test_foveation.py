@@ -33,8 +33,11 @@ FIRST = ImageRegion(x_px=300, y_px=200, width_px=200, height_px=160)
 SECOND = ImageRegion(x_px=700, y_px=40, width_px=120, height_px=90)
 
 
-def image(step: int = 0, *, base: bool = True, chips: tuple[ImageRegion, ...] = ()) -> Image:
+def image(
+    step: int = 0, *, base: bool = True, chips: tuple[ImageRegion, ...] = (), form: str = "FORMAT_JPEG"
+) -> Image:
     request = ImageRequest(preset="head_low", chips=chips, chips_only=not base)
+    request.format = ImageRequest.Format.Value(form)
     return render_image(image_wish(request), head_frame(step), None, PLENTY)
 
 
@@ -56,8 +59,9 @@ def assert_shows(composite: Composite, sent: Image, index: int = 0) -> None:
     assert np.abs(shown - reference).max() <= 1
 
 
-def test_base_and_chips_of_one_message_make_one_picture_at_full_resolution() -> None:
-    sent = image(chips=(FIRST, SECOND))
+@pytest.mark.parametrize("form", ["FORMAT_JPEG", "FORMAT_PACKED_JPEG", "FORMAT_WEBP"])
+def test_base_and_chips_of_one_message_make_one_picture_at_full_resolution(form: str) -> None:
+    sent = image(chips=(FIRST, SECOND), form=form)
     composite = take(Compositor(), sent)
     assert composite.picture is not None and composite.picture.shape == (544, 1024, 3)
     assert_shows(composite, sent, 0)
@@ -162,12 +166,12 @@ def test_what_is_kept_is_bounded() -> None:
     compositor = Compositor()
     sent = image(0)
     keys = []
-    for _ in range(60):
+    for _ in range(20):
         sent.frame_ns += 1
         keys.append(take(compositor, sent).key)
     kept = [key for key in keys if compositor.compose(key) is not None]
     assert kept == keys[-8:]
-    for number in range(60):
+    for number in range(40):
         sent.source = f"camera{number}"
         keys.append(take(compositor, sent).key)
     assert len([key for key in keys if compositor.compose(key) is not None]) <= 32 + 8
