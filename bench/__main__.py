@@ -13,6 +13,7 @@ MODULES = (
     "bench.view_codec",
     "bench.encodings",
     "bench.perception",
+    "bench.perception_chain",
     "bench.delta",
     "bench.ingest",
     "bench.live_mission",

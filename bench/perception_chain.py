@@ -1,6 +1,6 @@
 """A log through the whole chain: replay, perception server, shaper, a slow link, shaper, operator.
 
-    python -m bench.perception_chain LOG.mcap [--profile constant-100k-500ms] [--out DIR] [--json]
+    python -m bench.perception_chain [LOG.mcap] [--profile constant-100k-500ms] [--out DIR] [--json]
 
 Every request is made on the operator's bus, as `straitlink request` makes it; what comes is saved as PNG,
 to be looked at, and as NPZ. Told are the bytes of each view and the time from asking to having it.
@@ -30,6 +30,7 @@ from straitlink.request_client import RequestSettings, request_view
 from straitlink.request_words import request_of
 from straitlink.saved_view import describe, save_view
 from straitlink.schemas import PayloadType, zenoh_encoding
+from straitlink.synthetic import SyntheticSettings, synthesize
 
 _CAMERAS = ("CompressedImage", "RawImage", "Image")
 _LIDAR = ("LaserScan", "PointCloud2", "PointCloud")
@@ -38,9 +39,9 @@ _CALIBRATIONS = ("CameraInfo", "CameraCalibration")
 IMAGE_REQUESTS = (
     "head_low",
     "head_high",
-    "chip chips=220,140,200,200",
+    "chip source=head chips=220,140,200,200",
     "head_with_chip chips=220,140,200,200",
-    "head_low grey=true downsample=2",
+    "head_low grey=true quality=30",
 )
 LIDAR_REQUESTS = (
     "height_map_scene",
@@ -68,7 +69,7 @@ def chain(log: Path, out: Path, profile_name: str):  # type: ignore[no-untyped-d
     addresses, profile = free_addresses(), load_profile(profile_name)
     write_configs(out, addresses, profile, ())
     inputs = inputs_of(log)
-    _write_views(out, addresses, inputs, frames_of(log)[0])
+    _write_views(out, addresses, inputs, log)
     with Children(out) as children:
         for name, endpoint in (("robot-bus", addresses.robot_bus), ("operator-bus", addresses.operator_bus)):
             child = children.start(name, ["bus", "--listen", endpoint])
@@ -117,8 +118,9 @@ def frames_of(log: Path) -> tuple[str, set[str]]:
     return next((name for name in parents if name not in children), "map"), children
 
 
-def _write_views(out: Path, addresses: Addresses, inputs: dict[str, str], world: str) -> None:
+def _write_views(out: Path, addresses: Addresses, inputs: dict[str, str], log: Path) -> None:
     """The robot's shaper pulls views; nothing of the log itself crosses."""
+    world, frames = frames_of(log)
     path = out / "robot.toml"
     robot = tomlkit.parse(path.read_text())
     rule = {"key": "robot/view/requested", "class": "perception", "max_hz": 1, "pull": True}
@@ -126,10 +128,18 @@ def _write_views(out: Path, addresses: Addresses, inputs: dict[str, str], world:
     path.write_text(tomlkit.dumps(robot))
     document = {
         "zenoh": {"connect": [addresses.robot_bus]},
-        "frames": {"world": world},
+        "frames": {"world": world, "sweep_frame": "head" if "head" in frames else ""},
         "inputs": {name: {"key": key} for name, key in inputs.items()},
     }
     (out / "perception.toml").write_text(tomlkit.dumps(document))
+
+
+def _synthetic(out: Path) -> Path:
+    out.mkdir(parents=True, exist_ok=True)
+    log = out / "synthetic.mcap"
+    if not log.exists():
+        synthesize(log, SyntheticSettings(duration_s=20))
+    return log
 
 
 def run(log: Path, out: Path, profile: str, requests: Sequence[str], settle_s: float) -> list[Outcome]:
@@ -155,21 +165,23 @@ def run(log: Path, out: Path, profile: str, requests: Sequence[str], settle_s: f
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("log", type=Path)
+    parser.add_argument("log", type=Path, nargs="?", help="MCAP file; the synthetic mission unless given")
     parser.add_argument("--profile", default="constant-100k-500ms")
     parser.add_argument("--out", type=Path, default=Path("out/chain"))
     parser.add_argument("--settle", type=float, default=12.0, metavar="SECONDS", help="of log before asking")
     parser.add_argument("--requests", nargs="*", help="instead of those that fit the log")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    kinds = inputs_of(arguments.log)
+    log = arguments.log or _synthetic(arguments.out)
+    kinds = inputs_of(log)
     fitting = [*(IMAGE_REQUESTS if "head" in kinds else ())]
     fitting += LIDAR_REQUESTS if any("scan" in key or "cloud" in key for key in kinds.values()) else ()
-    world, frames = frames_of(arguments.log)
+    fitting += ["chest", "chest pan_rad=0.3 tilt_rad=-0.2"] if "chest" in kinds else ()
+    world, frames = frames_of(log)
     if "head" not in frames:  # the presets stand at the head
         fitting = [words + f" frame_id={world}" if words in LIDAR_REQUESTS else words for words in fitting]
     requests = arguments.requests or fitting
-    outcomes = run(arguments.log, arguments.out, arguments.profile, requests, arguments.settle)
+    outcomes = run(log, arguments.out, arguments.profile, requests, arguments.settle)
     if arguments.json:
         print(json.dumps([asdict(outcome) for outcome in outcomes], indent=1))
         return
