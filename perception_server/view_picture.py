@@ -12,6 +12,7 @@ from perception_server.fisheye import Picture
 
 _CELL_PX = 3
 _CLOUD_SIDE_PX = 600
+_MOST_DOT_PX = 24
 _HOLE_BGR = (40, 40, 40)
 
 
@@ -22,7 +23,7 @@ def view_picture(view: DecodedView) -> Picture:
     seen from above, coloured by height.
     """
     if view.values is None:
-        return _from_above(view.points_m)
+        return _from_above(view.points_m, view.header.resolution_m)
     values = view.values[::-1] if view.header.format == ViewRequest.FORMAT_HEIGHT_MAP else view.values
     small = _coloured(values)
     return np.repeat(np.repeat(small, _CELL_PX, axis=0), _CELL_PX, axis=1)
@@ -52,18 +53,21 @@ def _coloured(values: NDArray[np.float32]) -> Picture:
     return picture
 
 
-def _from_above(points_m: NDArray[np.float32]) -> Picture:
-    """The highest point of each pixel, x to the right and y up."""
+def _from_above(points_m: NDArray[np.float32], cell_m: float) -> Picture:
+    """The highest cell of each pixel, x to the right and y up."""
     picture: Picture = np.empty((_CLOUD_SIDE_PX, _CLOUD_SIDE_PX, 3), np.uint8)
     picture[:] = _HOLE_BGR
     points = points_m[np.isfinite(points_m).all(axis=1)]
     if not len(points):
         return picture
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    scale = (_CLOUD_SIDE_PX - 3) / max(float((high - low).max()), 1e-3)
+    scale = (_CLOUD_SIDE_PX - 1) / max(float((high - low).max()) + cell_m, 1e-3)
+    side = min(max(2, int(np.ceil(cell_m * scale))), _MOST_DOT_PX)
     ordered = points[np.argsort(points[:, 2], kind="stable")]
-    columns, rows = ((ordered[:, :2] - low) * scale).astype(int).T + 1
+    columns, rows = ((ordered[:, :2] - low) * scale).astype(int).T
     colours = _coloured(ordered[:, 2][None])[0]
-    for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        picture[_CLOUD_SIDE_PX - 1 - np.maximum(rows - down, 0), np.maximum(columns - across, 0)] = colours
+    last = _CLOUD_SIDE_PX - 1
+    for column, row, colour in zip(columns.tolist(), rows.tolist(), colours, strict=True):
+        top = max(0, last - row - side + 1)
+        picture[top : last - row + 1, column : column + side] = colour
     return picture
