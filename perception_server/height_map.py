@@ -24,7 +24,7 @@ LEVEL_M = 0.04  # thickness of a horizontal surface as seen in a cell: the noise
 SAME_M = 0.03  # neighbours within this share a level
 TALL_M = 0.5  # above its surroundings: a wall or a post, not a step
 COARSE_M = 0.1  # larger cells than this hold more than noise moves: the upper level counts
-FACE_MARGIN_M = 0.004  # a face must stand this far inside a cell to be its own
+FACE_MARGIN_M = 0.008  # a face must stand this far inside a cell to be its own: most of the noise
 FACE_SHARE = 0.6  # of the most returns between levels that a cell nearby has
 BEHIND_SHARE = 0.5  # of a cell's own, in the cell behind it: the face stands on their border
 FEW = 3  # returns that may all be noise
@@ -337,6 +337,8 @@ def _choose(low: float, between: float, top: float, span: float, around: FloatAr
     if low_shared:
         if clean and top >= 2 and top >= 0.5 * low and span < TALL_M and not higher:
             return 1
+        if span >= TALL_M and between > low:  # a wall's own cell or the one before it: no floor to walk on
+            return 0
         return -1 if low >= (2 if span < 0.3 else 3) else 0
     if top_shared:
         return 1 if top >= 0.3 * (low + between + top) else 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from perception_server.pictures import Disparity
 from perception_server.scan_geometry import RawCloud, RawScan
 from perception_server.view_codec import DecodeError
 from perception_server.view_presets import VIEW_PRESETS
+from tests.perception_server.preset_table import preset_rows
 from tests.perception_server.synthetic_history import one_sweep
 
 S = 1_000_000_000
@@ -274,3 +276,8 @@ def test_a_view_that_is_none_is_a_decode_error(view: View, why: str) -> None:
         decode_view(view.SerializeToString())
     with pytest.raises(DecodeError, match=r"are no straitlink\.View"):
         parse_view(b"\xff\xff\xff")
+
+
+def test_the_documents_table_of_presets_is_the_code_s() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "perception.md").read_text()
+    assert "\n".join(preset_rows()) in text
