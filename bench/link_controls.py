@@ -23,6 +23,8 @@ class Control:
 
     def __init__(self, rate_bps: int, now_ns: int) -> None:
         self.pacer = Pacer(1, 0, now_ns)
+        self.trickles = False
+        self.queue_ns, self.confidence = 0, 1.0
         self.band = ""
         self.loss_ratio = 0.0
         self.in_flight_limit_bytes = _NO_LIMIT_BYTES
@@ -42,7 +44,7 @@ class Control:
         """Nothing to learn but the loss."""
         self.loss_ratio = loss_ratio
 
-    def on_heard(self, sent_us: int, promise_ns: int, now_ns: int) -> None:
+    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
         """Nothing to learn."""
 
     def probe_bytes(self, now_ns: int) -> int:
@@ -77,7 +79,7 @@ class TrialsRule(Control):
         self._changed_ns = now_ns - self.LOCK_OUT_NS
         self._wakeup_ns = now_ns + _NS_PER_S
 
-    def on_heard(self, sent_us: int, promise_ns: int, now_ns: int) -> None:
+    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
         stamped = now_ns // 1000 - sent_us
         self._latency_ms = ((stamped + (1 << 31)) % (1 << 32) - (1 << 31)) / 1000
 

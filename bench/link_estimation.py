@@ -25,6 +25,7 @@ from bench.link_controls import DelayGradient, TrialsRule
 from bench.link_rows import ROWS, Row
 from bench.link_score import Score, judge
 from bench.machine import provenance
+from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.link_estimator import EstimatorFactory, PresetBands
 from shaper.trace_records import Record
 from straitlink.mission import MissionSettings, load_named_or_file, run_mission
@@ -74,6 +75,7 @@ class _Departures:
 def estimators() -> dict[str, EstimatorFactory]:
     """By name; the ablations of ours are called adaptive-<idea>."""
     return {
+        "adaptive": lambda bands, now_ns: AdaptiveEstimator(now_ns=now_ns),
         "presets": lambda bands, now_ns: PresetBands(bands, now_ns=now_ns),
         "trials rule": TrialsRule,
         "gradient": DelayGradient,

@@ -196,7 +196,7 @@ class Endpoint:
             has_messages, more = self._outgoing.fill(
                 out,
                 Opportunity(
-                    limit_bytes=(probe_bytes or self._datagram_bytes()) - self._outer_bytes,
+                    limit_bytes=self._limit_bytes(0 if holding else probe_bytes),
                     max_bytes=self._settings.max_datagram_bytes - self._settings.protection_bytes,
                     rate_bps=estimator.rate_bps,
                     loss_ratio=self._path.loss_ratio,
@@ -304,6 +304,8 @@ class Endpoint:
             in_flight_limit_bytes=estimator.in_flight_limit_bytes,
             loss_ratio=path.loss_ratio,
             holding=self.holding,
+            queue_ns=estimator.queue_ns,
+            confidence=estimator.confidence,
         )
 
     # Sending.
@@ -369,7 +371,9 @@ class Endpoint:
         return bytes(out)
 
     def _trickle_at_ns(self) -> int:
-        return self._timers.trickle_at_ns(self._estimator.rate_bps) if self._incoming else _ANY_TIME_NS
+        if self._incoming is None or self._estimator.trickles:
+            return _ANY_TIME_NS
+        return self._timers.trickle_at_ns(self._estimator.rate_bps)
 
     def _probe_at_ns(self) -> int | None:
         if self._incoming is None:
@@ -394,8 +398,9 @@ class Endpoint:
         idle = self._outgoing.scheduler.next_queue() is None
         return self._timers.report_due_ns(self._incoming, self._report_interval_ns(idle=idle))
 
-    def _datagram_bytes(self) -> int:
-        return min(self._estimator.datagram_bytes, self.path_mtu.size_bytes + IP_UDP_BYTES)
+    def _limit_bytes(self, probe_bytes: int) -> int:
+        wire_bytes = probe_bytes or self._estimator.datagram_bytes
+        return min(wire_bytes, self.path_mtu.size_bytes + IP_UDP_BYTES) - self._outer_bytes
 
     def _tell_estimate(self) -> None:
         if self._estimator.rate_bps != self._told_bps:
@@ -421,7 +426,6 @@ class Endpoint:
         if sent_us is None:
             self.counters.duplicate += 1
             return
-        self._estimator.on_heard(sent_us, PROMISES_NS[header.promise], now_ns)
         for frame in frames:
             match frame:
                 case MessageFrame():
@@ -445,6 +449,7 @@ class Endpoint:
                         self._outgoing.on_outcome(topic_id, number, outcome)
                 case LedgerFrame():
                     self._ledgers.on_received_half(frame, self._outgoing)
+        self._estimator.on_heard(header.number, sent_us, PROMISES_NS[header.promise], now_ns)
 
     def _may_be_alive(self, epoch: int, now_ns: int) -> bool:
         """Whether an epoch that is not the peer's may be the peer's all the same.

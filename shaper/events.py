@@ -98,6 +98,8 @@ class LinkState:
     rate_bps: paced at, on the wire. band: name of the recognised band.
     rtt_ns: newest round-trip time without the peer's holding time; None before the first report.
     loss_ratio: of the packets reported on lately. holding: only classes with always_send may leave.
+    queue_ns: how long the link is taken to need for what it holds. confidence: 0 (blind) to 1 (measured and
+    steady).
     """
 
     rate_bps: int
@@ -107,6 +109,8 @@ class LinkState:
     in_flight_limit_bytes: int
     loss_ratio: float
     holding: bool
+    queue_ns: int = 0
+    confidence: float = 1.0
 
 
 Event = (

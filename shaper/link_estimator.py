@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from shaper.pacer import Pacer
+from shaper.pacer import Pacer, Pacing
 from shaper.path import ReportedPacket, SentPacket
 
 _RTT_MEMORY_NS = 200_000_000  # newest round trips that are compared; a single late one changes no band
@@ -26,12 +26,41 @@ class LinkEstimator(Protocol):
     which the endpoint reads after every call. All rates count bytes on the wire, headers included.
     """
 
-    pacer: Pacer  # says when a datagram may leave; the estimator sets its rate
-    rate_bps: int  # what the link is taken to carry
-    datagram_bytes: int  # size on the wire that a full datagram should have
-    in_flight_limit_bytes: int  # beyond this only classes with always_send leave
-    band: str  # name of what it takes the link for, for people
-    loss_ratio: float
+    @property
+    def pacer(self) -> Pacing:
+        """Says when a datagram may leave."""
+
+    @property
+    def trickles(self) -> bool:
+        """Whether the pacer itself sees to it that little leaves while the link is dark."""
+
+    @property
+    def rate_bps(self) -> int:
+        """What the link is taken to carry."""
+
+    @property
+    def datagram_bytes(self) -> int:
+        """Size on the wire that a full datagram should have."""
+
+    @property
+    def in_flight_limit_bytes(self) -> int:
+        """Beyond this only classes with always_send leave."""
+
+    @property
+    def band(self) -> str:
+        """Name of what it takes the link for, for people."""
+
+    @property
+    def loss_ratio(self) -> float:
+        """Of the packets reported on lately."""
+
+    @property
+    def queue_ns(self) -> int:
+        """What the link is taken to need for what it holds."""
+
+    @property
+    def confidence(self) -> float:
+        """0: blind, 1: measured and steady."""
 
     def on_sent(self, packet: SentPacket, now_ns: int) -> None:
         """A datagram has left."""
@@ -41,9 +70,9 @@ class LinkEstimator(Protocol):
     ) -> None:
         """The peer has reported on these packets (oldest first); rtt_ns excludes its holding time."""
 
-    def on_heard(self, sent_us: int, promise_ns: int, now_ns: int) -> None:
-        """A datagram of the peer has come. sent_us: its stamp, expanded; promise_ns: its next one follows
-        that soon."""
+    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
+        """A datagram of the peer has come: its number's low bits, its stamp (expanded), and how soon the
+        next one follows at the latest."""
 
     def probe_bytes(self, now_ns: int) -> int:
         """The size on the wire of a datagram that is to leave now to be timed; 0: none is."""
@@ -88,6 +117,8 @@ class PresetBands:
         now_ns: int = 0,
     ) -> None:
         assert bands, "at least one preset band is needed"
+        self.trickles = False
+        self.queue_ns, self.confidence = 0, 1.0  # presets are not measured
         self._max_wire_bytes = max_wire_bytes
         self._bands = sorted(bands, key=lambda b: b.rate_bps)
         self._pace_ratio = pace_ratio
@@ -112,7 +143,7 @@ class PresetBands:
         delay_ns = min(rtt for _, rtt in self._rtts) // 2
         self._enter(min(self._bands, key=lambda b: abs(b.one_way_delay_ns - delay_ns)), now_ns)
 
-    def on_heard(self, sent_us: int, promise_ns: int, now_ns: int) -> None:
+    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
         """Nothing: presets are told apart by round trips."""
 
     def probe_bytes(self, now_ns: int) -> int:

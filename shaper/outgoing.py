@@ -312,6 +312,8 @@ class Outgoing:
             self._append(out, queue, departure, departure.sent_shares, share, opportunity.now_ns)
             return len(share)
         room = opportunity.limit_bytes - len(out) - overhead
+        if first and room < _MIN_PART_BYTES:  # on the thinnest links a topic's name needs more than is meant
+            room = min(_MIN_PART_BYTES, opportunity.max_bytes - len(out) - overhead)
         count = piece.count
         if count > room:
             # Splitting a message that would fit the next datagram whole only doubles its chance of loss.

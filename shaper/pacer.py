@@ -2,7 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 NS_PER_S = 1_000_000_000
+
+
+class Pacing(Protocol):
+    """Says when a datagram may leave."""
+
+    def may_send(self, now_ns: int) -> bool:
+        """Whether one may leave now."""
+
+    def next_send_at_ns(self, now_ns: int) -> int:
+        """The earliest time at which `may_send` holds, if nothing is sent before."""
+
+    def on_sent(self, wire_bytes: int, now_ns: int) -> None:
+        """A datagram leaves, headers included, whether or not it was allowed to."""
 
 
 class Pacer:

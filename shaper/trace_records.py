@@ -45,6 +45,8 @@ def event_record(event: Event, t_ns: int) -> Record:
                 "in_flight_bytes": event.in_flight_bytes,
                 "loss_ratio": round(event.loss_ratio, 4),
                 "holding": event.holding,
+                "queue_ns": event.queue_ns,
+                "confidence": event.confidence,
             }
         case Receipt(key, tag, stage):
             return {"event": "receipt", "t_ns": t_ns, "topic": key, "tag": tag, "stage": stage.value}

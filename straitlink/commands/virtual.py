@@ -23,15 +23,25 @@ def mission(
     ] = "light",
     minutes: Annotated[float, typer.Option(min=0.01, max=100_000, help="Virtual time.")] = 30.0,
     seed: Annotated[int, typer.Option(help="Same seed, same result to the byte.")] = 1,
+    estimator: Annotated[
+        Literal["presets", "adaptive"], typer.Option(help="The profile's bands, or what the link shows.")
+    ] = "presets",
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for what `straitlink report` reads.")] = None,
 ) -> None:
     """Run both shapers, the link and the traffic in virtual time, without waiting."""
     from netem_scripts.profiles import load_profile
     from straitlink.mission import MissionSettings, load_named_or_file
+    from straitlink.mission.mission import adaptive, presets
     from straitlink.mission.output import print_result, run_and_save
 
-    settings = MissionSettings(load_profile(profile), load_named_or_file(load), round(minutes * 60e9), seed)
+    settings = MissionSettings(
+        load_profile(profile),
+        load_named_or_file(load),
+        round(minutes * 60e9),
+        seed,
+        estimator=adaptive if estimator == "adaptive" else presets,
+    )
     started_s = time.perf_counter()
     with progress_bar(f"mission {profile}", hidden=as_json) as on_progress:
         result = run_and_save(settings, out, on_progress)

@@ -15,12 +15,13 @@ from netem_scripts.link import Link
 from netem_scripts.records import BandRecord, PacketRecord, StartRecord, event_of
 from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
+from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.events import Delivered, Event
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity, Side, other_side
 from shaper.ledger import ReceivedLedger
 from shaper.link_end import LinkEnd, pump_link
-from shaper.link_estimator import EstimatorFactory, PresetBand, PresetBands
+from shaper.link_estimator import EstimatorFactory, LinkEstimator, PresetBand, PresetBands
 from shaper.link_key import make_link_key
 from shaper.secure_channel import Address, SecureChannel
 from shaper.trace_records import (
@@ -45,7 +46,13 @@ TraceWriter = Callable[[str, Record], None]
 """Takes the name of a trace ("robot", "operator", "link") and a record."""
 
 
-def _preset_bands(bands: Sequence[PresetBand], now_ns: int) -> PresetBands:
+def adaptive(bands: Sequence[PresetBand], now_ns: int) -> LinkEstimator:
+    """The estimator that needs no presets."""
+    return AdaptiveEstimator(bands, now_ns)
+
+
+def presets(bands: Sequence[PresetBand], now_ns: int) -> LinkEstimator:
+    """The announced bands, told apart by round trips."""
     return PresetBands(bands, now_ns=now_ns)
 
 
@@ -62,7 +69,7 @@ class MissionSettings:
     duration_ns: int
     seed: int = 1
     bands: tuple[PresetBand, ...] = ()
-    estimator: EstimatorFactory = _preset_bands
+    estimator: EstimatorFactory = presets
     max_drift_ppm: int = 50
     synchronised: bool = False
 

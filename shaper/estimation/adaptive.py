@@ -1,0 +1,458 @@
+"""The estimator: three states, and what each does with what happens. See docs/link_estimation.md.
+
+probe    trains of small datagrams are sent at a cautious rate, until their spacing tells the true one
+run      departures follow the virtual queue; arrivals correct it, the rate and the delay of the empty link
+hold     the peer is silent, or what was sent is not reported in time: a trickle leaves, and is timed
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from shaper.estimation.bands import Bands
+from shaper.estimation.baseline import Baseline
+from shaper.estimation.dispersion import Dispersion
+from shaper.estimation.flights import Flight, Flights
+from shaper.estimation.silence import HICCUP_NS, Silence
+from shaper.estimation.states import Input, State, follow
+from shaper.estimation.virtual_queue import VirtualQueue
+from shaper.frames import STAMP_BITS
+from shaper.link_estimator import PresetBand, datagram_wire_bytes
+from shaper.path import ReportedPacket, SentPacket
+from shaper.serial_number import expand
+
+NS_PER_S = 1_000_000_000
+NS_PER_MS = 1_000_000
+
+START_BPS = 60_000  # assumed until the first train is reported; MIT's thin band with room for a heartbeat
+LEAST_BPS, MOST_BPS = 2_000, 100_000_000
+ALLOWANCE_NS = 4 * NS_PER_MS  # queue that is kept so that the link never runs dry, and every spread tells
+ALLOWANCE_NOISE = 0.25  # and this much per noise of arrivals
+CAUTION = 10  # a band that is not known may be so many times slower than the last
+LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we are made for
+LEAST_DATAGRAM_BYTES = 180  # on the thinnest links, where a larger one ...
+MOST_AIRTIME_NS = 150 * NS_PER_MS  # ... would take longer than this
+
+TRAIN_DATAGRAMS = 3
+TRAIN_BYTES = 150  # on the wire; small, as the link may be thin now, and large against headers
+TRAIN_AIRTIME_NS = 8 * NS_PER_MS  # of a train's datagram while the rate is known ...
+TRAIN_NOISES = 2.0  # ... and this much per noise of arrivals
+MOST_LONGER, LONGER_NOISE_NS = 5, 1_200_000  # one more per this much noise of arrivals, and so many at most
+TRAIN_INTERVAL_NS = 20 * NS_PER_MS  # at least, from the end of one to the start of the next
+
+START_INTERVAL_NS, MAX_START_INTERVAL_NS = 300 * NS_PER_MS, 3 * NS_PER_S  # while no train was reported
+PATIENCE_NS = 500 * NS_PER_MS  # with promises of the peer that may be of a faster band ...
+FRESH_NS = 1 * NS_PER_S  # ... until so long after a change
+
+DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become quicker is measured by trains
+
+TRICKLE_NS = 100 * NS_PER_MS  # in hold, a datagram at least this often is not needed ...
+TRICKLE_SHARE = 0.02  # ... and at most this share of the rate is taken, as a link may hold the queue
+TRICKLE_BYTES = 110
+TRICKLE_SLOWING = 64  # its interval is at least the silence over this: half a minute held costs 0.2 s
+MAX_TRICKLE_NS = 300 * NS_PER_MS
+
+SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
+OVERDUE_NS = 15 * NS_PER_MS  # a report may be this late ...
+OVERDUE_SHARE = 0.15  # ... and this share of the queue that the packet was to meet
+REPORT_LAG_NS = 25 * NS_PER_MS  # an arrival is reported within this, if no report is lost
+SURELY_NS = 25 * NS_PER_MS  # a silent link changed before what the peer's last datagram tells, by about this
+QUICKER_NS = 8 * NS_PER_MS  # a delay lower by this is another band, or a higher rate
+NOISE_FACTOR = 4.0
+
+ANCHOR_NOISE_NS = 500_000  # one arrival more is looked at per this much noise
+FOLLOW = 0.5  # how far the rate follows its average at each report
+DRIFT_RATIO = 1.18  # and how far it may get from where a change put it, before that counts as one
+SETTLED_NS = 3 * NS_PER_S  # after which a band is worth remembering
+RTT_MEMORY_NS = 10 * NS_PER_S
+FRESH_CONFIDENCE, DOUBTFUL_CONFIDENCE = 0.7, 0.3  # in run, but not settled yet; in probe
+_NEVER_NS = 1 << 62
+_NO_LIMIT_BYTES = 1 << 40
+
+
+@dataclass(frozen=True, slots=True)
+class Ideas:
+    """What can be switched off, to see what it is worth."""
+
+    silence: bool = True
+    overdue: bool = True
+    verify: bool = True
+    anchor: bool = True
+    quicker: bool = True
+    bands: bool = True
+    unchanged: bool = True
+
+
+class AdaptiveEstimator:
+    """Implements shaper.link_estimator.LinkEstimator for one sending direction."""
+
+    trickles = True
+
+    def __init__(
+        self,
+        bands: Sequence[PresetBand] = (),
+        now_ns: int = 0,
+        max_wire_bytes: int = 1228,
+        ideas: Ideas | None = None,
+    ) -> None:
+        self.pacer = VirtualQueue(START_BPS, ALLOWANCE_NS, now_ns)
+        self.state = State.PROBE
+        self.rate_bps = START_BPS
+        self.loss_ratio = 0.0
+        self._max_wire_bytes = max_wire_bytes
+        self._ideas = ideas or Ideas()
+        self._known_bps: float | None = None  # the rate before the link changed, or now in run
+        self._centre_bps = 0.0  # where the last change put the rate
+        self._flights = Flights()
+        self._dispersion = Dispersion()
+        self._baseline = Baseline(now_ns)
+        self._silence = Silence()
+        self._bands = Bands()
+        self._epoch_ns = now_ns  # what leaves from then on meets the present band
+        self._settled_from_ns = now_ns
+        self._hold_from_ns = now_ns
+        self._probes_left = 0
+        self._empty_ns = now_ns  # when the virtual queue runs or ran empty
+        self._rtts: list[tuple[int, int]] = []
+        self._silent = False  # whether it is the peer's silence for which the link is held
+        self._train_interval_ns = START_INTERVAL_NS
+        self._train_ns = now_ns  # when the newest train left
+        self._doubt_until_ns = now_ns  # until then the link may carry more than is known
+
+    # What the endpoint reads.
+
+    @property
+    def datagram_bytes(self) -> int:
+        full_bytes = datagram_wire_bytes(self.rate_bps, self._max_wire_bytes)
+        longest_bytes = self.rate_bps * MOST_AIRTIME_NS // (8 * NS_PER_S)
+        return max(min(full_bytes, longest_bytes), min(full_bytes, LEAST_DATAGRAM_BYTES))
+
+    @property
+    def in_flight_limit_bytes(self) -> int:
+        return 0 if self.state is State.HOLD else _NO_LIMIT_BYTES
+
+    @property
+    def band(self) -> str:
+        if self.state is not State.RUN:
+            return self.state.value
+        return "new" if self._bands.current is None else self._bands.current.name
+
+    @property
+    def queue_ns(self) -> int:
+        return self.pacer.level_ns
+
+    @property
+    def confidence(self) -> float:
+        if self.state is State.RUN:
+            return 1.0 if self._bands.current is not None else FRESH_CONFIDENCE
+        return 0.0 if self.state is State.HOLD or self._known_bps is None else DOUBTFUL_CONFIDENCE
+
+    def probe_bytes(self, now_ns: int) -> int:
+        if self._silence.heard_ns < 0:
+            return 0
+        if self.state is State.RUN:
+            return self._train_bytes() if self._probes_left else 0
+        return TRAIN_BYTES if self._probes_left or self.state is State.PROBE else TRICKLE_BYTES // 2
+
+    # What happens.
+
+    def on_sent(self, packet: SentPacket, now_ns: int) -> None:
+        pacer = self.pacer
+        self._flights.on_sent(packet.number, packet.wire_bytes * 8, pacer.found_ns, now_ns)
+        idle_ns = now_ns - self._empty_ns
+        wait_ns = pacer.wait_ns(now_ns)
+        self._empty_ns = now_ns + wait_ns
+        begins_train = self._probes_left == 0
+        self._probes_left = max(0, self._probes_left - 1)
+        if self.state is State.PROBE:
+            self._pace_trains(begins_train)
+        elif self.state is State.HOLD and not self._probes_left:
+            pacer.not_before_ns = now_ns + self._trickle_ns(now_ns)
+        elif self.state is State.RUN and self._ideas.verify and not self._baseline.pausing:
+            if idle_ns >= self._baseline.pause_ns:
+                self._baseline.begin(now_ns, self._apparent_delay_ns())
+            elif now_ns >= self._baseline.due_ns:
+                pacer.not_before_ns = self._empty_ns + self._baseline.pause_ns
+                self._baseline.begin(pacer.not_before_ns, self._apparent_delay_ns())
+
+    def on_report(
+        self, settled: Sequence[ReportedPacket], rtt_ns: int | None, loss_ratio: float, now_ns: int
+    ) -> None:
+        self.loss_ratio = loss_ratio
+        previous = self._flights.acked[-1] if self._flights.acked else None
+        arrived = self._flights.on_report(settled)
+        if not arrived:
+            return
+        judged_bps = self._known_bps if self.state is State.RUN else None
+        for flight in arrived:
+            if previous is not None and flight.number == previous.number + 1:
+                self._dispersion.add(previous, flight, judged_bps)
+            previous = flight
+        if rtt_ns is not None:
+            self._rtts = [r for r in self._rtts if r[0] > now_ns - RTT_MEMORY_NS][-200:]
+            self._rtts.append((now_ns, rtt_ns))
+        if self.state is State.RUN:
+            self._run(arrived, now_ns)
+        else:
+            self._find(arrived, now_ns)
+
+    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
+        first = self._silence.heard_ns < 0
+        silence_ns = now_ns - self._silence.heard_ns
+        late, quicker = self._silence.on_heard(number, sent_us, promise_ns, now_ns)
+        if first:
+            self._epoch_ns = self.pacer.not_before_ns = now_ns
+            return
+        if self.state is State.HOLD and self._silent and now_ns > self._hold_from_ns:
+            if silence_ns < HICCUP_NS and not late and self._known_bps is not None:
+                self._enter(Input.HICCUP, now_ns)
+                self._resume(self._known_bps, now_ns)
+            else:
+                self._enter(Input.HEARD, now_ns)
+                self._begin_probing(now_ns)
+        elif self.state is State.RUN:
+            if quicker and self._ideas.quicker:
+                self._doubt(now_ns)
+            self._look_for_more(now_ns)
+            self._look_for_overdue(sent_us, now_ns)
+
+    def on_peer_restarted(self, now_ns: int) -> None:
+        """Its clock is another; the link is not."""
+        self._silence.on_peer_restarted()
+        self._flights = Flights()
+        self._dispersion.forget()
+        self._baseline.restart(now_ns)
+
+    def wakeup_at_ns(self) -> int | None:
+        if self._silence.heard_ns < 0:
+            return None
+        if self.state is State.HOLD:
+            return self.pacer.opens_ns()
+        if self.state is State.PROBE:
+            return min(self._silence_ns(), self.pacer.opens_ns())
+        return self._silence_ns() if self._ideas.silence else None
+
+    def on_timer(self, now_ns: int) -> None:
+        if self.state is not State.HOLD and now_ns >= self._silence_ns() and self._ideas.silence:
+            self._hold(Input.SILENCE, self._silence.heard_ns - self._rtt_ns() // 2 - SURELY_NS, now_ns)
+
+    # Probe and hold: find out what the link is now.
+
+    def _find(self, arrived: list[Flight], now_ns: int) -> None:
+        """Whether the old band is back, or trains tell a new one."""
+        if self._known_bps is not None and self._met_the_old_band(arrived):
+            self._enter(Input.UNCHANGED, now_ns)
+            self._resume(self._known_bps, now_ns)
+            return
+        if self._known_bps is None:
+            self._train_interval_ns = max(TRAIN_INTERVAL_NS, self._rtt_ns() // 2)
+        rate_bps = self._dispersion.of_trains(self._epoch_ns, self._known_bps)
+        if rate_bps is not None:
+            self._enter(Input.MEASURED, now_ns)
+            if rate_bps == self._known_bps and self._baseline.delay_ns is not None:
+                self._resume(rate_bps, now_ns)
+            else:
+                self._change(rate_bps, now_ns)
+        elif self.state is State.HOLD and not self._silent:
+            self._enter(Input.HEARD, now_ns)
+            self._begin_probing(now_ns)
+
+    def _met_the_old_band(self, arrived: list[Flight]) -> bool:
+        base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
+        if base_ns is None or rate_bps is None or not self._ideas.unchanged:
+            return False
+        margin_ns = SAME_NS + NOISE_FACTOR * self._noise_ns
+        newest = arrived[-1]
+        since_ns = self._hold_from_ns if self._silent else self._epoch_ns
+        return newest.sent_ns >= since_ns and abs(newest.delay_ns(rate_bps) - base_ns) < margin_ns
+
+    def _silence_ns(self) -> int:
+        """When the peer has been silent for too long. After a change its promises are of the former band."""
+        deadline_ns = self._silence.deadline_ns
+        fresh = self.state is State.PROBE or deadline_ns < self._settled_from_ns + FRESH_NS
+        return deadline_ns + (PATIENCE_NS if fresh else 0)
+
+    def _begin_probing(self, now_ns: int) -> None:
+        """The cautious rate: a band that was seen, or a tenth of the last."""
+        assert self._known_bps is not None or not self._rtts, "only a known band is held"
+        known_bps = self._known_bps or START_BPS
+        cautious_bps = max(known_bps / CAUTION, min(known_bps, LEAST_CAUTIOUS_BPS))
+        lowest = self._bands.lowest_below(self._known_bps) if self._known_bps and self._ideas.bands else None
+        if lowest is not None:
+            cautious_bps = max(cautious_bps, lowest.rate_bps)
+        first = self._flights.first_since(self._epoch_ns)
+        queue_ns = 0 if first is None else self._flights.simulate(cautious_bps, first, 0, now_ns)
+        self.pacer.set(_whole(cautious_bps), queue_ns, now_ns)
+        self.pacer.not_before_ns = now_ns
+        self._probes_left = TRAIN_DATAGRAMS
+        self.pacer.free = TRAIN_DATAGRAMS
+
+    def _pace_trains(self, begins_train: bool) -> None:
+        """Trains leave whole, and one after the other has been served at the cautious rate."""
+        if begins_train:
+            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
+        elif self._probes_left == 0:
+            self.pacer.not_before_ns = self._empty_ns + self._train_interval_ns
+            if self._known_bps is None:  # nothing is known: wait for an answer, ever longer
+                self._train_interval_ns = min(2 * self._train_interval_ns, MAX_START_INTERVAL_NS)
+
+    def _trickle_ns(self, now_ns: int) -> int:
+        rate_bps = self._known_bps or START_BPS
+        share_ns = int(TRICKLE_BYTES * 8 * NS_PER_S / (TRICKLE_SHARE * rate_bps))
+        slowed_ns = (now_ns - self._hold_from_ns) // TRICKLE_SLOWING
+        return max(TRICKLE_NS, min(share_ns, 10 * MAX_TRICKLE_NS), min(slowed_ns, MAX_TRICKLE_NS))
+
+    def _hold(self, why: Input, since_ns: int, now_ns: int) -> None:
+        """Send no more than a trickle. since_ns: when the link may have changed."""
+        self._enter(why, now_ns)
+        self._epoch_ns = max(self._epoch_ns, since_ns)
+        self._hold_from_ns = now_ns
+        self._silent = why is Input.SILENCE
+        self._silence.deadline_ns = _NEVER_NS
+        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
+        self.pacer.allowance_ns = _NEVER_NS
+        self.pacer.not_before_ns = now_ns
+
+    # Run: keep the queue short, the rate right, and notice changes.
+
+    def _run(self, arrived: list[Flight], now_ns: int) -> None:
+        rate_bps = self._known_bps
+        assert rate_bps is not None, "run knows the rate"
+        noise_ns = self._noise_ns
+        fallen_ns = max(self._baseline.lower(flight.delay_ns(rate_bps)) for flight in arrived)
+        if fallen_ns > QUICKER_NS + NOISE_FACTOR * noise_ns and self._ideas.quicker:
+            self._dispersion.forget_before(arrived[-1].sent_ns)
+            self._doubt(now_ns)
+        fallen_bps = self._dispersion.fallen(rate_bps)
+        if fallen_bps is not None:
+            self._enter(Input.FALL, now_ns)
+            self._epoch_ns = arrived[0].sent_ns
+            self._change(fallen_bps, now_ns)
+            return
+        risen_bps = self._dispersion.risen(rate_bps)
+        if risen_bps is not None:
+            if self._ideas.bands:
+                risen_bps = self._bands.likely(risen_bps, self._rtts[-1][1] if self._rtts else 0)
+            self._enter(Input.RISE, now_ns)
+            self._epoch_ns = arrived[0].sent_ns
+            self._change(risen_bps, now_ns)
+            self._doubt(now_ns)
+            return
+        average_bps = self._dispersion.average(rate_bps)
+        if average_bps is not None:
+            rate_bps += FOLLOW * (average_bps - rate_bps)
+            rate_bps = min(self._centre_bps * DRIFT_RATIO, max(self._centre_bps / DRIFT_RATIO, rate_bps))
+            self._centre_bps += 0.002 * (rate_bps - self._centre_bps)
+            self._set_rate(rate_bps)
+        if self._baseline.on_arrived(arrived, rate_bps, noise_ns, now_ns) or not self._baseline.pausing:
+            self._anchor(now_ns)
+        if now_ns - self._settled_from_ns > SETTLED_NS:
+            self._bands.settle(rate_bps, self._rtt_ns())
+
+    def _anchor(self, now_ns: int) -> None:
+        """Set the virtual queue by the newest arrivals: by the least late of some, as noise only adds."""
+        base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
+        if base_ns is None or rate_bps is None or not self._ideas.anchor:
+            return
+        looked_at = min(8, 1 + int(self._noise_ns / ANCHOR_NOISE_NS), len(self._flights.acked))
+        newest = list(self._flights.acked)[-looked_at:]
+        best = min(newest, key=lambda f: f.delay_ns(rate_bps) - f.wait_ns)
+        wait_ns = max(0, best.delay_ns(rate_bps) - base_ns)
+        self._set_queue(self._flights.simulate(rate_bps, best, wait_ns, now_ns), now_ns)
+
+    def _change(self, rate_bps: float, now_ns: int) -> None:
+        """The link carries another rate since the epoch; its delay may be another too."""
+        rate_bps = min(MOST_BPS, max(LEAST_BPS, rate_bps))
+        self._bands.leave()
+        self._centre_bps = rate_bps
+        self._settled_from_ns = now_ns
+        self._set_rate(rate_bps)
+        self._dispersion.forget()
+        first = self._flights.first_since(self._epoch_ns)
+        queue_ns = 0 if first is None else self._flights.simulate(rate_bps, first, 0, now_ns)
+        self._set_queue(queue_ns, now_ns)
+        self.pacer.not_before_ns = now_ns + queue_ns + self._baseline.pause_ns
+        self._baseline.restart(self.pacer.not_before_ns)
+        self._rtts = self._rtts[-1:]
+
+    def _resume(self, rate_bps: float, now_ns: int) -> None:
+        """The band is the old one."""
+        self._set_rate(rate_bps)
+        newest = self._flights.acked[-1] if self._flights.acked else None
+        queue_ns = 0
+        if newest is not None and self._baseline.delay_ns is not None:
+            wait_ns = max(0, newest.delay_ns(rate_bps) - self._baseline.delay_ns)
+            queue_ns = self._flights.simulate(rate_bps, newest, wait_ns, now_ns)
+        self._set_queue(queue_ns, now_ns)
+        self.pacer.not_before_ns = now_ns
+
+    def _look_for_overdue(self, peer_us: int, now_ns: int) -> None:
+        """Hold if the peer has spoken at this time of its clock, and said nothing of what had arrived."""
+        base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
+        misses = self._silence.needed_misses(self.loss_ratio)
+        unreported = self._flights.unreported
+        if base_ns is None or rate_bps is None or len(unreported) < misses:
+            return
+        if self._baseline.pausing or not self._ideas.overdue:
+            return
+        last = unreported[misses - 1]
+        due_ns = last.sent_ns + base_ns + last.wait_ns + int(last.bits * NS_PER_S / rate_bps)
+        lag_ns = REPORT_LAG_NS + REPORT_LAG_NS * (self._silence.misses - 1)
+        margin_ns = OVERDUE_NS + lag_ns + 6 * self._noise_ns + OVERDUE_SHARE * last.wait_ns
+        overdue_us = expand((peer_us - due_ns // 1000) % (1 << STAMP_BITS), STAMP_BITS, 0)
+        if overdue_us * 1000 > margin_ns:
+            self._hold(Input.OVERDUE, unreported[0].sent_ns, now_ns)
+
+    def _doubt(self, now_ns: int) -> None:
+        """The link may carry more than it did: send trains for a while to see."""
+        self._doubt_until_ns = now_ns + DOUBT_NS + DOUBT_RTTS * self._rtt_ns()
+
+    def _look_for_more(self, now_ns: int) -> None:
+        """A train, at most twice per round trip, while it is in doubt whether the link carries more."""
+        interval_ns = max(TRAIN_INTERVAL_NS * 3, self._rtts[-1][1] // 2 if self._rtts else 0)
+        if max(self.pacer.not_before_ns, self._train_ns + interval_ns) < now_ns < self._doubt_until_ns:
+            self._train_ns = now_ns
+            longer = min(MOST_LONGER, int(self._noise_ns / LONGER_NOISE_NS))
+            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS + longer
+
+    # Small things.
+
+    @property
+    def _noise_ns(self) -> float:
+        """Sigma of one arrival."""
+        return 0.7 * self._dispersion.noise_ns
+
+    def _rtt_ns(self) -> int:
+        return min((rtt_ns for _, rtt_ns in self._rtts), default=200 * NS_PER_MS)
+
+    def _train_bytes(self) -> int:
+        airtime_ns = TRAIN_AIRTIME_NS + int(TRAIN_NOISES * self._noise_ns)
+        airtime_bytes = self.rate_bps * airtime_ns // (8 * NS_PER_S)
+        return min(self.datagram_bytes, max(TRAIN_BYTES, airtime_bytes))
+
+    def _apparent_delay_ns(self) -> int:
+        """The empty link's delay by the newest arrivals, should the virtual queue be right."""
+        rate_bps = self._known_bps
+        newest = list(self._flights.acked)[-10:]
+        if rate_bps is None or not newest:
+            return -_NEVER_NS
+        return min(f.delay_ns(rate_bps) - f.wait_ns for f in newest)
+
+    def _enter(self, happened: Input, now_ns: int) -> None:
+        self.state = follow(self.state, happened)
+        self._probes_left = self.pacer.free = 0
+        self.pacer.allowance_ns = ALLOWANCE_NS + int(ALLOWANCE_NOISE * self._noise_ns)
+
+    def _set_rate(self, rate_bps: float) -> None:
+        self._train_interval_ns = TRAIN_INTERVAL_NS
+        self._known_bps = rate_bps
+        self.rate_bps = _whole(rate_bps)
+
+    def _set_queue(self, wait_ns: int, now_ns: int) -> None:
+        self.pacer.set(self.rate_bps, wait_ns, now_ns)
+        self._empty_ns = now_ns + wait_ns
+
+
+def _whole(rate_bps: float) -> int:
+    return max(LEAST_BPS, int(rate_bps))

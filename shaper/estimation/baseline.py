@@ -1,0 +1,74 @@
+"""The delay of the empty link, and how it is kept true.
+
+It cannot be read off while there is a queue, and nobody tells whether there is one. So the sender makes
+sure: every few seconds it lets the computed queue run empty, waits a little longer, and looks. What is met
+then is the empty link, unless waiting has brought the delay down: then there was more queue than computed,
+and the pause is repeated, longer. Clock drift and route changes of either sign are followed so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from shaper.estimation.flights import Flight
+
+PAUSE_NS = 10_000_000  # beyond the computed end of the queue
+MAX_PAUSE_NS = 400_000_000
+INTERVAL_NS = 5_000_000_000  # between pauses: 10 ms of 5 s are 0.2 % of the link
+SOON_NS = 200_000_000  # after a change
+_SAMPLE_NOISE_NS = 800_000  # one arrival more is looked at per this much noise
+_MAX_SAMPLES = 10
+
+
+class Baseline:
+    """The one-way delay of the empty link plus the peer's clock offset; None while it is not known."""
+
+    def __init__(self, now_ns: int) -> None:
+        self.delay_ns: int | None = None
+        self.pause_ns = PAUSE_NS
+        self.due_ns = now_ns
+        self._before_ns = 0
+        self._from_ns: int | None = None  # what leaves from then on meets the empty link
+        self._delays_ns: list[int] = []
+
+    @property
+    def pausing(self) -> bool:
+        """Whether a pause has been made whose outcome is awaited."""
+        return self._from_ns is not None
+
+    def begin(self, from_ns: int, before_ns: int) -> None:
+        """The link is empty from then on. before_ns: what the link seemed to have for delay lately."""
+        self._from_ns = from_ns
+        self._before_ns = before_ns
+        self._delays_ns = []
+
+    def restart(self, from_ns: int) -> None:
+        """The link has changed; nothing is known until the first arrivals of what leaves from then on."""
+        self.delay_ns = None
+        self.pause_ns = PAUSE_NS
+        self.begin(from_ns, -(1 << 62))
+
+    def lower(self, delay_ns: int) -> int:
+        """A delay without any queue is no more than any delay; by how much this one lowers it."""
+        if self.delay_ns is None or delay_ns >= self.delay_ns:
+            return 0
+        fall_ns, self.delay_ns = self.delay_ns - delay_ns, delay_ns
+        return fall_ns
+
+    def on_arrived(self, arrived: Sequence[Flight], rate_bps: float, noise_ns: float, now_ns: int) -> bool:
+        """Whether the outcome of a pause is known by now; then delay_ns is set by it."""
+        if self._from_ns is None:
+            return False
+        needed = min(_MAX_SAMPLES, 1 + int(noise_ns / _SAMPLE_NOISE_NS))
+        for flight in arrived:
+            if flight.sent_ns >= self._from_ns:
+                self._delays_ns.append(flight.delay_ns(rate_bps) - flight.wait_ns)
+        if len(self._delays_ns) < needed:
+            return False
+        after_ns = min(self._delays_ns)
+        hidden = self._before_ns - after_ns > max(self.pause_ns / 2, 1.5 * noise_ns)
+        first = self.delay_ns is None
+        self.delay_ns, self._from_ns = after_ns, None
+        self.pause_ns = min(MAX_PAUSE_NS, 2 * self.pause_ns) if hidden else PAUSE_NS
+        self.due_ns = now_ns + (0 if hidden else SOON_NS if first else INTERVAL_NS)
+        return True

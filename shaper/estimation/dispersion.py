@@ -1,0 +1,173 @@
+"""Capacity from the spacing of arrivals.
+
+A link of rate C that keeps the order spreads two datagrams by at least the second one's bits over C, and
+by just that if the second had to wait for the first. So bits over spread is never more than the rate, and
+is the rate wherever the second datagram left before the first was served. Sums over neighbours telescope:
+noise of the arrivals counts once per run, not once per pair.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from itertools import islice
+
+from shaper.estimation.flights import Flight
+
+_PAIRS = 400
+_NOISE_PAIRS = 24  # noise must have been there for one to two times so many pairs to be believed
+_FASTEST_BPS = 200e6  # a smaller spread is a clump behind a delay that fell, no measurement
+_FALL_RATIO = 1.28  # spread over what the rate explains, beyond which the rate has fallen
+_RISE_RATIO = 1.25  # and the same for a rise
+_NOISE_FACTOR = 5.0  # noise (one sigma) that evidence must exceed
+_FALL_FLOOR_NS = 1_500_000
+_RISE_DOUBT = 3.0  # noises by which a train may have come too close
+_RISE_FLOOR_NS = 20_000  # a clock's grain
+_TRAIN_GAP = 0.5  # of what a datagram takes at the known rate: so close together leave trains
+_TESTED_PAIRS = 60  # as far back as a fall or a rise may show
+_EXPANDED = 0.8  # gap over spread, below which the second datagram has surely waited
+_TRAIN_EXPANDED = 0.6
+_WINDOW_NOISES = 200  # the average runs over so many sigma of arrivals: within 1 % of the rate ...
+_WINDOW_NS = (250_000_000, 4_000_000_000)  # ... but within these bounds
+
+
+class Pair:
+    """Two datagrams in a row that arrived. gap_ns: between departures; spread_ns: between arrivals.
+
+    bits: of the second. queued: the second is taken to have met a queue.
+    """
+
+    __slots__ = ("bits", "gap_ns", "number", "queued", "sent_ns", "spread_ns")
+
+    def __init__(self, first: Flight, second: Flight) -> None:
+        assert first.arrived_ns is not None and second.arrived_ns is not None, "pairs have arrived"
+        self.number = second.number
+        self.sent_ns = second.sent_ns
+        self.gap_ns = second.sent_ns - first.sent_ns
+        self.spread_ns = second.arrived_ns - first.arrived_ns
+        self.bits = second.bits
+        self.queued = second.wait_ns > 0
+
+    @property
+    def measurable(self) -> bool:
+        return self.spread_ns * _FASTEST_BPS > self.bits * 1e9
+
+
+class Dispersion:
+    """The pairs of late, and how noisy their spreads are."""
+
+    def __init__(self) -> None:
+        self._pairs: deque[Pair] = deque(maxlen=_PAIRS)
+        self._deviation_ns = 0.0
+        self._former_ns = (0.0, 0.0)  # deviations before; a change of rate is no noise
+        self._counted = 0
+
+    @property
+    def noise_ns(self) -> float:
+        """Sigma of a spread; that of one arrival is 0.7 of it."""
+        return 1.25 * min(self._deviation_ns, self._former_ns[0])
+
+    def add(self, first: Flight, second: Flight, rate_bps: float | None) -> None:
+        """Two neighbours have arrived. rate_bps: what the noise is judged by; None: it is not."""
+        pair = Pair(first, second)
+        self._pairs.append(pair)
+        if rate_bps is not None and pair.queued:
+            off_ns = abs(pair.spread_ns - pair.bits * 1e9 / rate_bps)
+            off_ns = min(off_ns, abs(pair.spread_ns - pair.gap_ns))  # the link may be faster than known
+            off_ns = min(off_ns, 3 * self._deviation_ns + 2_000_000)
+            self._deviation_ns += (off_ns - self._deviation_ns) / 16
+            self._counted += 1
+            if self._counted % _NOISE_PAIRS == 0:
+                self._former_ns = (self._former_ns[1], self._deviation_ns)
+
+    def forget_before(self, sent_ns: int) -> None:
+        """Earlier pairs belong to another band."""
+        while self._pairs and self._pairs[0].sent_ns < sent_ns:
+            self._pairs.popleft()
+
+    def forget(self) -> None:
+        """All of them do."""
+        self._pairs.clear()
+
+    def fallen(self, rate_bps: float) -> float | None:
+        """The rate (bit/s) to which the link has fallen, if arrivals are spread by more than explained.
+
+        The slowest pair does not count: one late arrival is no fall.
+        """
+        bits = spread_ns = gap_ns = 0
+        slowest: Pair | None = None
+        for count, pair in enumerate((p for p in self._newest() if p.queued), 1):
+            bits, spread_ns, gap_ns = bits + pair.bits, spread_ns + pair.spread_ns, gap_ns + pair.gap_ns
+            if slowest is None or pair.spread_ns > slowest.spread_ns:
+                slowest = pair
+            if count < 3:
+                continue
+            rest_ns = spread_ns - slowest.spread_ns
+            explained_ns = (bits - slowest.bits) * 1e9 / rate_bps
+            if (
+                rest_ns > _FALL_RATIO * explained_ns
+                and rest_ns - explained_ns > _NOISE_FACTOR * self.noise_ns + _FALL_FLOOR_NS
+                and gap_ns - slowest.gap_ns < _EXPANDED * rest_ns
+            ):
+                return (bits - slowest.bits) * 1e9 / rest_ns
+        return None
+
+    def risen(self, rate_bps: float) -> float | None:
+        """The rate (bit/s) that the link has at least, if trains arrive closer than the rate allows.
+
+        Only pairs that left closer than that can tell. Noise counts once per train.
+        """
+        bits = spread_ns = trains = pairs = 0
+        best_bps, number = 0.0, -1
+        for pair in self._newest():
+            explained_ns = pair.bits * 1e9 / rate_bps
+            if pair.gap_ns > _TRAIN_GAP * explained_ns or not pair.measurable:
+                continue
+            trains += pair.number != number - 1
+            number = pair.number
+            bits, spread_ns, pairs = bits + pair.bits, spread_ns + pair.spread_ns, pairs + 1
+            if pairs >= 2:
+                doubt_ns = _RISE_DOUBT * self.noise_ns * trains**0.5 + _RISE_FLOOR_NS
+                best_bps = max(best_bps, bits * 1e9 / (spread_ns + doubt_ns))
+        return best_bps if best_bps > _RISE_RATIO * rate_bps else None
+
+    def average(self, rate_bps: float) -> float | None:
+        """The rate over the last pairs that met a queue; None while there are too few."""
+        window_ns = min(_WINDOW_NS[1], max(_WINDOW_NS[0], _WINDOW_NOISES * self.noise_ns))
+        bits = spread_ns = 0
+        for pair in reversed(self._pairs):
+            expected_ns = pair.bits * 1e9 / rate_bps
+            off_ns = abs(pair.spread_ns - expected_ns)
+            if pair.queued and off_ns < _NOISE_FACTOR * self.noise_ns + 0.5 * expected_ns:
+                bits, spread_ns = bits + pair.bits, spread_ns + pair.spread_ns
+                if spread_ns >= window_ns:
+                    return bits * 1e9 / spread_ns
+        return None
+
+    def of_trains(self, since_ns: int, known_bps: float | None) -> float | None:
+        """The rate by the trains that left since then; known_bps: a rate that may still hold."""
+        pairs = [p for p in self._pairs if p.sent_ns >= since_ns and p.measurable]
+        if known_bps is not None and len(pairs) >= 2:
+            bound_bps = _ratio(sorted(pairs, key=lambda p: p.spread_ns / p.bits)[: max(2, len(pairs) // 2)])
+            if bound_bps >= 0.8 * known_bps:
+                return known_bps
+        trains = [p for p in pairs if p.gap_ns < _TRAIN_EXPANDED * p.spread_ns]
+        if len(trains) < 2:
+            return None
+        trains.sort(key=lambda p: p.spread_ns / p.bits)
+        if len(trains) >= 3:
+            trains.pop()
+        elif trains[1].spread_ns / trains[1].bits > 1.5 * trains[0].spread_ns / trains[0].bits:
+            return None
+        spread_ns = sum(p.spread_ns for p in trains)
+        if spread_ns < 2 * self.noise_ns * len(trains) ** 0.5:
+            return None
+        return _ratio(trains)
+
+    def _newest(self) -> Iterable[Pair]:
+        return islice(reversed(self._pairs), _TESTED_PAIRS)
+
+
+def _ratio(pairs: Iterable[Pair]) -> float:
+    pairs = list(pairs)
+    return sum(p.bits for p in pairs) * 1e9 / sum(p.spread_ns for p in pairs)

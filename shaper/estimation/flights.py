@@ -1,0 +1,94 @@
+"""What has been sent: when, behind how much queue, and when it arrived if that is known."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+from shaper.frames import STAMP_BITS
+from shaper.path import ReportedPacket
+from shaper.serial_number import expand
+
+_REMEMBERED = 64  # arrivals that the estimate looks back on
+_MOST = 8192  # flights held while nothing is reported: hours of a trickle
+
+
+class Flight:
+    """A datagram. wait_ns: queue that it is taken to have met; arrived_ns: in the peer's clock."""
+
+    __slots__ = ("arrived_ns", "bits", "number", "sent_ns", "wait_ns")
+
+    def __init__(self, number: int, sent_ns: int, bits: int, wait_ns: int) -> None:
+        self.number = number
+        self.sent_ns = sent_ns
+        self.bits = bits
+        self.wait_ns = wait_ns
+        self.arrived_ns: int | None = None
+
+    def delay_ns(self, rate_bps: float) -> int:
+        """One-way delay without the datagram's own serialisation, plus the offset of the peer's clock."""
+        assert self.arrived_ns is not None, "only what has arrived has a delay"
+        return self.arrived_ns - self.sent_ns - int(self.bits * 1e9 / rate_bps)
+
+
+class Flights:
+    """The last arrivals and everything that is in flight, oldest first."""
+
+    def __init__(self) -> None:
+        self.acked: deque[Flight] = deque(maxlen=_REMEMBERED)
+        self.unreported: deque[Flight] = deque(maxlen=_MOST)
+        self._offset_us = 0  # of the newest arrival stamp (expanded) from our clock
+
+    def on_sent(self, number: int, bits: int, wait_ns: int, now_ns: int) -> None:
+        """A datagram has left."""
+        self.unreported.append(Flight(number, now_ns, bits, wait_ns))
+
+    def on_report(self, settled: Sequence[ReportedPacket]) -> list[Flight]:
+        """Those that have arrived, oldest first; what is lost, or of unknown arrival, is forgotten."""
+        arrived: list[Flight] = []
+        for packet in settled:
+            while self.unreported and self.unreported[0].number < packet.number:
+                self.unreported.popleft()
+            if not self.unreported or self.unreported[0].number != packet.number:
+                continue
+            flight = self.unreported.popleft()
+            if packet.arrival_us is None:
+                continue
+            near_us = flight.sent_ns // 1000 + self._offset_us
+            arrival_us = expand(packet.arrival_us, STAMP_BITS, near_us)
+            self._offset_us = arrival_us - flight.sent_ns // 1000
+            flight.arrived_ns = arrival_us * 1000
+            self.acked.append(flight)
+            arrived.append(flight)
+        return arrived
+
+    def bits_in_flight(self) -> int:
+        """All that may still be queued."""
+        return sum(flight.bits for flight in self.unreported)
+
+    def simulate(self, rate_bps: float, begin: Flight, wait_ns: int, now_ns: int) -> int:
+        """The queue now (ns), if one flight met `wait_ns` of it and the link serves this rate since.
+
+        Rewrites what the later flights are taken to have met.
+        """
+        per_bit_ns = 1e9 / rate_bps
+        begin.wait_ns = wait_ns
+        empty_ns = begin.sent_ns + wait_ns + int(begin.bits * per_bit_ns)
+        later = [f for f in self.acked if f.number > begin.number]
+        for flights in (later, self.unreported):
+            for flight in flights:
+                if flight.number <= begin.number:
+                    continue
+                sent_ns = flight.sent_ns
+                start_ns = empty_ns if empty_ns > sent_ns else sent_ns
+                flight.wait_ns = start_ns - sent_ns
+                empty_ns = start_ns + int(flight.bits * per_bit_ns)
+        return max(0, empty_ns - now_ns)
+
+    def first_since(self, sent_ns: int) -> Flight | None:
+        """The oldest remembered flight that left at this time or later."""
+        for flights in (self.acked, self.unreported):
+            for flight in flights:
+                if flight.sent_ns >= sent_ns:
+                    return flight
+        return None

@@ -1,0 +1,82 @@
+"""Silence of the peer, and delay of the way back: the earliest news that a link has changed.
+
+Each datagram promises when the next one follows. A promise that runs out says that the way back has
+changed, or the way there, half a round trip before any report could.
+"""
+
+from __future__ import annotations
+
+import math
+
+from shaper.frames import NUMBER_BITS
+from shaper.loss import LossMeter
+from shaper.serial_number import expand
+
+_MARGIN_NS = 5_000_000  # a timer's lateness, on either side
+_NOISE_FACTOR = 6.0
+_FALSE_ALARMS = 2e-4  # chance that so many datagrams in a row are lost
+_LEAST_LOSS = 0.005
+_LATE_NS = 20_000_000  # what ends a hiccup is later than its predecessor by no more than this ...
+_LATE_SHARE = 0.35  # ... or this share of the silence
+HICCUP_NS = 300_000_000  # a longer silence is none
+_FALL_NS = 20_000_000  # of the delay back, which says that the path has changed
+_NEVER_NS = 1 << 62
+
+
+class Silence:
+    """Watches the way back."""
+
+    def __init__(self) -> None:
+        self.heard_ns = -_NEVER_NS
+        self.deadline_ns = _NEVER_NS  # beyond it the peer is silent
+        self.misses = 1  # datagrams in a row that must fail to come before that is more than loss
+        self._number = -1
+        self._loss = LossMeter()
+        self._delay_us: int | None = None  # of the newest datagram, plus the clocks' offset
+        self._least_us = 0
+        self._deviation_us = 0.0
+
+    @property
+    def noise_ns(self) -> float:
+        """Sigma of the delay back."""
+        return 1250.0 * self._deviation_us
+
+    def needed_misses(self, loss_ratio: float) -> int:
+        """How many datagrams in a row must fail to come before that is more than loss."""
+        if loss_ratio < _LEAST_LOSS:
+            return 1
+        return min(12, math.ceil(math.log(_FALSE_ALARMS) / math.log(min(loss_ratio, 0.5))))
+
+    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> tuple[bool, bool]:
+        """A datagram has come: whether it was late against the last, and whether the path is quicker."""
+        number = expand(number, NUMBER_BITS, self._number) if self._number >= 0 else number
+        if self._number >= 0 and 0 < number - self._number < 64 and now_ns < self.deadline_ns:
+            for _ in range(number - self._number - 1):
+                self._loss.on_settled(lost=True)
+            self._loss.on_settled(lost=False)
+        self._number = max(self._number, number)
+        late, quicker = self._judge_delay(now_ns // 1000 - sent_us, now_ns - self.heard_ns)
+        self.heard_ns = now_ns
+        self.misses = self.needed_misses(self._loss.ratio)
+        margin_ns = _MARGIN_NS + int(_NOISE_FACTOR * self.noise_ns)
+        self.deadline_ns = now_ns + self.misses * promise_ns + margin_ns
+        return late, quicker
+
+    def on_peer_restarted(self) -> None:
+        """Another clock, other numbers."""
+        self._number, self._delay_us = -1, None
+
+    def _judge_delay(self, delay_us: int, silence_ns: int) -> tuple[bool, bool]:
+        if self._delay_us is None:
+            self._delay_us = self._least_us = delay_us
+            return False, False
+        later_ns = (delay_us - self._delay_us) * 1000
+        allowed_ns = max(_LATE_NS, _NOISE_FACTOR * self.noise_ns, _LATE_SHARE * silence_ns)
+        off_us = min(abs(delay_us - self._delay_us), 3 * self._deviation_us + 500)
+        self._deviation_us += (off_us - self._deviation_us) / 16
+        self._delay_us = delay_us
+        quicker = (self._least_us - delay_us) * 1000 > _FALL_NS + _NOISE_FACTOR * self.noise_ns
+        self._least_us = min(self._least_us + 1 + silence_ns // 1_000_000_000, delay_us)
+        if later_ns > allowed_ns:
+            self._least_us = delay_us
+        return later_ns > allowed_ns, quicker

@@ -1,0 +1,115 @@
+"""The parts of the adaptive estimator, each by itself."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from shaper.estimation.adaptive import AdaptiveEstimator
+from shaper.estimation.bands import Bands
+from shaper.estimation.dispersion import Dispersion
+from shaper.estimation.flights import Flight, Flights
+from shaper.estimation.silence import Silence
+from shaper.estimation.states import TRANSITIONS, Input, State, follow, mermaid
+from shaper.estimation.virtual_queue import VirtualQueue
+
+MS = 1_000_000
+S = 1_000_000_000
+RATE_BPS = 1_000_000
+
+
+def flight(number: int, sent_ns: int, arrived_ns: int, size: int = 1000, wait_ns: int = 1) -> Flight:
+    made = Flight(number, sent_ns, size * 8, wait_ns)
+    made.arrived_ns = arrived_ns
+    return made
+
+
+def stream(sent_every_ns: int, arrived_every_ns: int, count: int = 60) -> Dispersion:
+    """Datagrams of 1000 bytes that left and arrived evenly."""
+    dispersion = Dispersion()
+    flights = [flight(n, n * sent_every_ns, S + n * arrived_every_ns) for n in range(count)]
+    for first, second in pairwise(flights):
+        dispersion.add(first, second, RATE_BPS)
+    return dispersion
+
+
+@given(st.sampled_from(State), st.sampled_from(Input))
+def test_every_input_leads_to_a_state_that_is_drawn(state: State, happened: Input) -> None:
+    after = follow(state, happened)
+    assert after is TRANSITIONS.get((state, happened), state)
+    assert (state, happened) not in TRANSITIONS or f"{state} --> {after}: {happened}" in mermaid()
+
+
+@given(
+    st.integers(5_000, 10_000_000),
+    st.lists(st.tuples(st.integers(0, S), st.integers(40, 1500)), min_size=1, max_size=30),
+)
+def test_a_datagram_that_may_leave_finds_no_more_queue_than_is_allowed(
+    rate_bps: int, sent: list[tuple[int, int]]
+) -> None:
+    queue, now_ns = VirtualQueue(rate_bps, 4 * MS, 0), 0
+    for pause_ns, size in sent:
+        now_ns = queue.next_send_at_ns(now_ns + pause_ns)
+        assert queue.may_send(now_ns)
+        queue.on_sent(size, now_ns)
+        assert queue.found_ns <= 4 * MS
+        served_ns = size * 8 * S // rate_bps
+        assert served_ns <= queue.wait_ns(now_ns) <= served_ns + 4 * MS + 2
+
+
+def test_arrivals_at_the_known_rate_tell_of_no_change() -> None:
+    dispersion = stream(8 * MS, 8 * MS)
+    assert dispersion.fallen(RATE_BPS) is None
+    assert dispersion.risen(RATE_BPS) is None
+    assert dispersion.average(RATE_BPS) == pytest.approx(RATE_BPS)
+
+
+@pytest.mark.parametrize("true_bps", [100_000, 300_000, 700_000])
+def test_spread_arrivals_tell_the_lower_rate(true_bps: int) -> None:
+    assert stream(8 * MS, 8000 * S // true_bps).fallen(RATE_BPS) == pytest.approx(true_bps, rel=0.01)
+
+
+def test_one_late_arrival_is_no_fall() -> None:
+    dispersion = stream(8 * MS, 8 * MS)
+    late = flight(60, 480 * MS, S + 480 * MS + 200 * MS)
+    dispersion.add(flight(59, 472 * MS, S + 472 * MS), late, RATE_BPS)
+    assert dispersion.fallen(RATE_BPS) is None
+
+
+def test_a_train_tells_the_higher_rate_and_a_clump_nothing() -> None:
+    assert stream(0, 1 * MS, count=3).risen(RATE_BPS) == pytest.approx(8_000_000, rel=0.02)
+    assert stream(0, 0, count=3).risen(RATE_BPS) is None
+
+
+def test_what_later_flights_met_follows_from_one_that_is_known() -> None:
+    flights = Flights()
+    for number in range(5):
+        flights.on_sent(number, 8000, 0, number * MS)
+    queue_ns = flights.simulate(RATE_BPS, flights.unreported[0], 20 * MS, 10 * MS)
+    assert queue_ns == 20 * MS + 5 * 8 * MS - 10 * MS
+    assert [f.wait_ns for f in flights.unreported] == [20 * MS, 27 * MS, 34 * MS, 41 * MS, 48 * MS]
+
+
+def test_a_lossy_way_back_must_miss_more_promises_before_it_is_silent() -> None:
+    silence = Silence()
+    assert [silence.needed_misses(loss) for loss in (0.0, 0.1, 0.2)] == [1, 4, 6]
+
+
+def test_the_slowest_band_seen_is_what_the_link_may_have_become() -> None:
+    bands = Bands()
+    bands.settle(1e6, 100 * MS)
+    bands.settle(1e5, 1000 * MS)
+    slowest = bands.lowest_below(1e6)
+    assert slowest is not None and slowest.rate_bps == 1e5
+    assert bands.lowest_below(1e5) is None
+    assert bands.likely(300_000, 120 * MS) == 1e6
+
+
+def test_nothing_is_probed_before_the_peer_is_heard() -> None:
+    estimator = AdaptiveEstimator(now_ns=5 * S)
+    assert estimator.probe_bytes(6 * S) == 0 and estimator.wakeup_at_ns() is None
+    estimator.on_heard(0, 123_456, 1 * S, 7 * S)
+    assert estimator.probe_bytes(7 * S) > 0 and estimator.confidence == 0.0
