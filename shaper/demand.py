@@ -78,10 +78,10 @@ class PullQueue(TopicQueue):
         super().expired(tag)
         self._fates.tell(tag, ReceiptStage.EXPIRED)
 
-    def sent(self, piece: Piece, count: int) -> Content | None:
+    def sent(self, piece: Piece, count: int, loss_ratio: float = 0.0) -> Content | None:
         departure = piece.departure
         part = self._fates.on_sent_part(departure.number, departure.tag)
-        super().sent(piece, count)
+        super().sent(piece, count, loss_ratio)
         if self.departing is None:
             self._fates.on_sent(departure.number, departure.shares_needed)
         return part

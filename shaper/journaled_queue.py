@@ -53,10 +53,10 @@ class JournaledQueue(ReliableQueue):
             self._forget(serial)
         return waits
 
-    def sent(self, piece: Piece, count: int) -> Content | None:
+    def sent(self, piece: Piece, count: int, loss_ratio: float = 0.0) -> Content | None:
         if not piece.again and not piece.departure.begun:
             self._journal.depart(piece.departure.tag, self.key, piece.departure.number)
-        return super().sent(piece, count)
+        return super().sent(piece, count, loss_ratio)
 
     def restore(self, messages: Iterable[OwnMessage], next_number: int, now_ns: int) -> None:
         """Take up what the former process left."""

@@ -16,7 +16,7 @@ from shaper.journal import Journal, OwnMessage
 from shaper.journaled_queue import JournaledQueue
 from shaper.key_expression import is_key
 from shaper.ledger import SentLedger
-from shaper.parity import encode_shares, repair_shares
+from shaper.parity import protect
 from shaper.path import Content
 from shaper.queues import Departure, Payload, Piece, TopicQueue
 from shaper.reliable import ReliableQueue, SentSkip
@@ -233,7 +233,9 @@ class Outgoing:
             count = self._append_piece(out, queue, piece, opportunity, first=before == start)
             if count is None:
                 break
-            content = queue.sent(piece, count)
+            content = queue.sent(piece, count, opportunity.loss_ratio)
+            if piece.departure.protected is not None:
+                contents.append(piece.departure.protected)
             if content is not None:
                 contents.append(content)
                 self._awaiting[queue] = None
@@ -280,7 +282,7 @@ class Outgoing:
     def _protect(self, queue: TopicQueue, piece: Piece, opportunity: Opportunity) -> None:
         """Put a message that will take several datagrams under parity, if the link loses packets."""
         departure, traffic_class = piece.departure, queue.rule.traffic_class
-        if departure.begun or departure.shares or not traffic_class.max_parity_ratio:
+        if departure.begun or departure.protected is not None or not traffic_class.max_parity_ratio:
             return
         if not opportunity.loss_ratio or isinstance(queue, ReliableQueue | ChangesQueue):
             return
@@ -290,12 +292,13 @@ class Outgoing:
         needed = -(-len(departure.data) // (opportunity.limit_bytes - HEADER_BYTES - overhead))
         if not 2 <= needed < MAX_SHARES:
             return
-        repair = repair_shares(
-            needed, opportunity.loss_ratio, traffic_class.target_ratio, traffic_class.max_parity_ratio
+        departure.protected = protect(
+            departure.data,
+            needed,
+            opportunity.loss_ratio,
+            traffic_class.target_ratio,
+            traffic_class.max_parity_ratio,
         )
-        if repair:
-            departure.shares = encode_shares(departure.data, needed, repair)
-            departure.shares_needed = needed
 
     def _append_piece(
         self, out: bytearray, queue: TopicQueue, piece: Piece, opportunity: Opportunity, *, first: bool
@@ -303,13 +306,14 @@ class Outgoing:
         """Append as much of a piece as fits; how much, or None if it had better wait for a datagram."""
         departure = piece.departure
         overhead = self._overhead_bytes(queue, departure, opportunity.now_ns)
-        if departure.shares:
-            share = departure.shares[departure.sent_shares]
+        protected = departure.protected
+        if protected is not None:
+            share = protected.shares[protected.sent]
             # A share keeps its size when the link turns thin under it; then it leaves by itself.
             limit = opportunity.max_bytes if first else opportunity.limit_bytes
             if len(out) + overhead + SHARE_OVERHEAD_BYTES + len(share) > limit:
                 return None
-            self._append(out, queue, departure, departure.sent_shares, share, opportunity.now_ns)
+            self._append(out, queue, departure, protected.sent, share, opportunity.now_ns)
             return len(share)
         room = opportunity.limit_bytes - len(out) - overhead
         if first and room < _MIN_PART_BYTES:  # on the thinnest links a topic's name needs more than is meant

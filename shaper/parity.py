@@ -6,6 +6,7 @@ erasure code: systematic, so the first k shares are the message itself. FEC term
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import comb
 
 import zfec
@@ -16,22 +17,55 @@ from shaper.frames import MAX_SHARES
 _NEGLIGIBLE_LOSS_RATIO = 0.002  # below this no parity is worth its bytes
 
 
-def repair_shares(needed: int, loss_ratio: float, target_ratio: float, max_parity_ratio: float) -> int:
-    """How many repair shares to send with `needed` source shares.
+@dataclass(slots=True)
+class Protected:
+    """A message under the code on its way out: `needed` source shares, then repair shares, of which
+    `sent` have left. arrived, lost: those of which that is known.
 
-    The fewest with which at least `needed` of all arrive with probability `target_ratio`, each share
-    being lost by itself; never more than max_parity_ratio of the source, and none without loss.
+    How many repair shares are worth their bytes is decided when the next one would leave, by what is
+    known of the others by then: in a message that takes longer than a round trip, most of it.
     """
-    if loss_ratio < _NEGLIGIBLE_LOSS_RATIO:
-        return 0
+
+    shares: list[bytes]
+    needed: int
+    target_ratio: float
+    sent: int = 0
+    arrived: int = 0
+    lost: int = 0
+
+    @property
+    def source_bytes_left(self) -> int:
+        """Of the message itself, not sent yet."""
+        return sum(len(share) for share in self.shares[self.sent : self.needed])
+
+    def on_arrived(self) -> None:
+        """A share is known to be there."""
+        self.arrived += 1
+
+    def on_lost(self) -> None:
+        """A share is known to be lost."""
+        self.lost += 1
+
+    def enough(self, loss_ratio: float) -> bool:
+        """Whether what has left brings the message, with the target's probability; or no share is left."""
+        if self.sent < self.needed or self.sent == len(self.shares):
+            return self.sent == len(self.shares)
+        under_way, missing = self.sent - self.arrived - self.lost, self.needed - self.arrived
+        return missing <= 0 or _survival(missing, under_way, loss_ratio) >= self.target_ratio
+
+
+def protect(
+    data: bytes, needed: int, loss_ratio: float, target_ratio: float, max_parity_ratio: float
+) -> Protected | None:
+    """The message under the code, with as much parity as it may have; None where no parity is due."""
     most = min(int(needed * max_parity_ratio), MAX_SHARES - needed)
-    for repair in range(max(0, most) + 1):
-        if _survival(needed, needed + repair, loss_ratio) >= target_ratio:
-            return repair
-    return max(0, most)
+    if loss_ratio < _NEGLIGIBLE_LOSS_RATIO or most < 1 or needed < 2:
+        return None
+    return Protected(encode_shares(data, needed, most), needed, target_ratio)
 
 
 def _survival(needed: int, sent: int, loss_ratio: float) -> float:
+    """The probability that at least `needed` of `sent` arrive, each being lost by itself."""
     kept = 1.0 - loss_ratio
     return float(
         sum(comb(sent, lost) * loss_ratio**lost * kept ** (sent - lost) for lost in range(sent - needed + 1))

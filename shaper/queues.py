@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from messages.payload import Encoded, PayloadError
@@ -12,6 +12,7 @@ from messages.payload import Payload as BusPayload
 from shaper.compression import pack
 from shaper.events import Event
 from shaper.ledger import SentLedger
+from shaper.parity import Protected
 from shaper.path import Content
 from shaper.traffic_class import Keep, TopicRule
 from shaper.trouble import TroubleTeller, What
@@ -39,8 +40,7 @@ class Waiting:
 class Departure:
     """A message on its way out: packed, numbered, sent up to `offset`.
 
-    shares: the message under an erasure code, of which the first `sent_shares` have left; empty where
-    it leaves in plain parts.
+    protected: the message under an erasure code; None where it leaves in plain parts.
     """
 
     data: bytes
@@ -50,19 +50,27 @@ class Departure:
     compressed: bool
     tag: int = 0
     offset: int = 0
-    shares: list[bytes] = field(default_factory=list)
-    sent_shares: int = 0
-    shares_needed: int = 0
+    protected: Protected | None = None
 
     @property
     def begun(self) -> bool:
-        return self.offset > 0 or self.sent_shares > 0
+        return self.offset > 0 or (self.protected is not None and self.protected.sent > 0)
+
+    @property
+    def shares_needed(self) -> int:
+        """Of a message under an erasure code; 0 of another."""
+        return 0 if self.protected is None else self.protected.needed
 
     @property
     def remaining_bytes(self) -> int:
-        if self.shares:
-            return sum(len(share) for share in self.shares[self.sent_shares :])
-        return len(self.data) - self.offset
+        """Of the message, without parity."""
+        return len(self.data) - self.offset if self.protected is None else self.protected.source_bytes_left
+
+    def has_left(self, loss_ratio: float) -> bool:
+        """Whether nothing more of it is worth sending."""
+        if self.protected is None:
+            return self.offset == len(self.data)
+        return self.protected.enough(loss_ratio)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,19 +226,23 @@ class TopicQueue:
         self.departing = None
         self.expired(piece.departure.tag)
 
-    def sent(self, piece: Piece, count: int) -> Content | None:
-        """`count` bytes of the piece have left in a datagram; what wants to know of its fate."""
-        departure = piece.departure
+    def sent(self, piece: Piece, count: int, loss_ratio: float = 0.0) -> Content | None:
+        """`count` bytes of the piece have left in a datagram; what wants to know of its fate.
+
+        loss_ratio: of the link now, by which the parity of the rest is decided.
+        """
+        departure, protected = piece.departure, piece.departure.protected
         self.next_number = departure.number + 1
-        if departure.shares:
-            departure.sent_shares += 1
-        else:
+        is_parity = protected is not None and protected.sent >= protected.needed
+        if protected is None:
             departure.offset += count
-        if departure.sent_shares > departure.shares_needed:
+        else:
+            protected.sent += 1
+        if is_parity:
             self.ledger.repeated_bytes += count
         else:
             self.ledger.sent_bytes += count
-        if departure.remaining_bytes == 0:
+        if departure.has_left(loss_ratio):
             self.departed()
         return None
 
@@ -243,8 +255,8 @@ class TopicQueue:
         """The peer has forgotten everything; a message on its way is begun anew."""
         departure = self.departing
         if departure is not None:
-            departure.offset = departure.sent_shares = departure.shares_needed = 0
-            departure.shares = []  # cut anew: they must leave room for the topic's name again
+            departure.offset = 0
+            departure.protected = None  # cut anew: shares must leave room for the topic's name again
 
     @property
     def empty(self) -> bool:

@@ -110,7 +110,7 @@ class ReliableQueue(TopicQueue):
     def too_late(self, piece: Piece) -> None:
         self._give_up(piece.departure)
 
-    def sent(self, piece: Piece, count: int) -> Content | None:
+    def sent(self, piece: Piece, count: int, loss_ratio: float = 0.0) -> Content | None:
         if piece.again:
             self._again.popleft()
             if count < piece.count:
@@ -118,7 +118,7 @@ class ReliableQueue(TopicQueue):
                 self._again.appendleft(rest)
             self.ledger.repeated_bytes += count
         else:
-            super().sent(piece, count)
+            super().sent(piece, count, loss_ratio)
         return _SentPart(self, piece.departure.number, piece.offset, count)
 
     def departed(self) -> None:

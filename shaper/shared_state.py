@@ -107,8 +107,8 @@ class ChangesQueue(TopicQueue):
         )
         return self.departing
 
-    def sent(self, piece: Piece, count: int) -> Content | None:
-        super().sent(piece, count)
+    def sent(self, piece: Piece, count: int, loss_ratio: float = 0.0) -> Content | None:
+        super().sent(piece, count, loss_ratio)
         return _SentState(self, piece.departure.number)
 
     def departed(self) -> None:

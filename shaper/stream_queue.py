@@ -46,11 +46,11 @@ class StreamQueue(TopicQueue):
         self._packed = message
         return self.writer.encode(BusPayload(bytes(message.payload), message.encoding), self.next_number)
 
-    def sent(self, piece: Piece, count: int) -> Content | None:
+    def sent(self, piece: Piece, count: int, loss_ratio: float = 0.0) -> Content | None:
         """A message that leaves whole is held by the peer as soon as its datagram has arrived."""
         departure = piece.departure
-        is_whole = not departure.shares and count == len(departure.data)
-        super().sent(piece, count)
+        is_whole = departure.protected is None and count == len(departure.data)
+        super().sent(piece, count, loss_ratio)
         return _SentSample(self, departure.number) if is_whole else None
 
     def on_peer_restarted(self) -> None:

@@ -46,7 +46,7 @@ class TrafficClass:
     always_send: bool = False
     reliable: bool = False
     max_parity_ratio: float = 0.0
-    target_ratio: float = 0.975
+    target_ratio: float = 0.985
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from shaper.errors import DecodeError
 from shaper.fragments import Reassembler
 from shaper.frames import MAX_SHARES, MessageFrame
-from shaper.parity import decode_shares, encode_shares, repair_shares, share_bytes
+from shaper.parity import Protected, decode_shares, encode_shares, protect, share_bytes
 from tests.shaper.pair import MS, Pair, S
 
 S_NS = 1_000_000_000
@@ -59,33 +59,70 @@ def test_any_shares_decode_or_raise_a_decode_error(shares: dict[int, bytes], nee
 # How much.
 
 
+def send_all(protected: Protected, loss_ratio: float) -> int:
+    """Send what it asks for while nothing is known of any share; how many that are."""
+    while not protected.enough(loss_ratio):
+        protected.sent += 1
+    return protected.sent
+
+
 @pytest.mark.parametrize("needed", [2, 14, 37, 200])
 @pytest.mark.parametrize("loss_ratio", [0.0, 0.001])
 def test_no_loss_no_parity(needed: int, loss_ratio: float) -> None:
-    assert repair_shares(needed, loss_ratio, 0.975, 0.5) == 0
+    assert protect(bytes(1000), needed, loss_ratio, 0.985, 0.5) is None
 
 
 @given(st.integers(2, 255), st.floats(0, 1), st.floats(0.5, 0.999), st.floats(0, 2))
 def test_never_more_than_the_class_allows_or_the_code_can(
     needed: int, loss_ratio: float, target: float, most: float
 ) -> None:
-    repair = repair_shares(needed, loss_ratio, target, most)
-    assert 0 <= repair <= needed * most
-    assert needed + repair <= MAX_SHARES
+    protected = protect(bytes(1000), needed, loss_ratio, target, most)
+    if protected is not None:
+        sent = send_all(protected, loss_ratio)
+        assert needed <= sent <= needed * (1 + most)
+        assert sent <= MAX_SHARES
 
 
 @pytest.mark.parametrize(("needed", "loss_ratio"), [(4, 0.02), (18, 0.1), (37, 0.1), (18, 0.2)])
-def test_the_fewest_that_reach_the_target(needed: int, loss_ratio: float) -> None:
+def test_the_fewest_that_reach_the_target_while_nothing_is_known(needed: int, loss_ratio: float) -> None:
     generator = random.Random(1)
-    repair = repair_shares(needed, loss_ratio, 0.975, 1.0)
+    protected = protect(bytes(1000), needed, loss_ratio, 0.975, 1.0)
+    assert protected is not None
+    sent = send_all(protected, loss_ratio)
 
     def survives(sent: int) -> float:
         tries = 20_000
         kept = (sum(generator.random() >= loss_ratio for _ in range(sent)) for _ in range(tries))
         return sum(k >= needed for k in kept) / tries
 
-    assert survives(needed + repair) >= 0.975 - 0.005
-    assert survives(needed + repair - 1) < 0.975 + 0.005
+    assert survives(sent) >= 0.975 - 0.005
+    assert survives(sent - 1) < 0.975 + 0.005
+
+
+@given(st.integers(2, 60), st.integers(0, 60), st.integers(0, 10), st.floats(0.01, 0.3))
+def test_what_is_known_of_the_shares_decides_how_many_more(
+    needed: int, arrived: int, lost: int, loss_ratio: float
+) -> None:
+    """Each share known to have arrived asks for no more, each known to be lost for no fewer."""
+    arrived, lost = min(arrived, needed), min(lost, needed)
+
+    def sent_when_known(arrived: int, lost: int) -> int:
+        protected = protect(bytes(1000), needed, loss_ratio, 0.975, 1.0)
+        assert protected is not None
+        protected.arrived, protected.lost = arrived, lost
+        protected.sent = max(needed, arrived + lost)
+        return send_all(protected, loss_ratio)
+
+    if arrived + lost <= needed:
+        assert sent_when_known(arrived, lost) <= sent_when_known(max(0, arrived - 1), lost)
+        assert sent_when_known(arrived, lost) >= sent_when_known(arrived, max(0, lost - 1))
+
+
+def test_a_message_that_is_known_to_be_there_gets_no_parity() -> None:
+    protected = protect(bytes(1000), 10, 0.3, 0.99, 1.0)
+    assert protected is not None
+    protected.sent = protected.arrived = 10
+    assert protected.enough(0.3)
 
 
 # On the link.
