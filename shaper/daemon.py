@@ -112,7 +112,9 @@ class Daemon:
             outlet = self._outlet = BusOutlet(session)
             stack.callback(outlet.close)
             if self._config.metrics is not None:
-                stack.callback(MetricsServer(self._config.metrics, self.endpoint).close)
+                stack.callback(
+                    MetricsServer(self._config.metrics, self.endpoint, self._link.counters_dict).close
+                )
             self._inlet = self._open_inlet(session)
             stack.callback(self._inlet.close)
             self._start_trace()
@@ -324,6 +326,7 @@ class Daemon:
             self._link.set_wall_clock(time.time_ns(), now_ns)
             self._say_whether_the_peer_is_heard(now_ns)
             record = ledger_record(self.endpoint, self._sends, now_ns)
+            record["datagrams"] = self._link.counters_dict()  # the channel's too
             self._tell("ledger", record)
             self._tell_link(self.endpoint.link_state())
             for key, (budget_bytes, period_ns) in self.endpoint.demands(now_ns).items():

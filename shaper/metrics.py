@@ -22,9 +22,15 @@ class MetricsError(Exception):
 class MetricsServer:
     """Serves `GET /metrics`; the figures are taken when somebody asks."""
 
-    def __init__(self, address: tuple[str, int], endpoint: Endpoint) -> None:
+    def __init__(
+        self,
+        address: tuple[str, int],
+        endpoint: Endpoint,
+        datagrams: Callable[[], Mapping[str, int]] | None = None,
+    ) -> None:
+        """datagrams: counters of datagrams and drops, where there is a channel too; else the endpoint's."""
         registry = CollectorRegistry()
-        registry.register(_ShaperCollector(endpoint))
+        registry.register(_ShaperCollector(endpoint, datagrams or endpoint.counters_dict))
         host, port = address
         try:
             served: tuple[WSGIServer, threading.Thread] = start_http_server(port, host, registry)
@@ -45,8 +51,9 @@ _Ledger = TypeVar("_Ledger")
 class _ShaperCollector(Collector):
     """Reads counters of another thread's endpoint: each is one integer, so none is ever half written."""
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: Endpoint, datagrams: Callable[[], Mapping[str, int]]) -> None:
         self._endpoint = endpoint
+        self._datagrams = datagrams
 
     def collect(self) -> Iterator[Metric]:
         endpoint = self._endpoint
@@ -68,7 +75,7 @@ class _ShaperCollector(Collector):
         datagrams = CounterMetricFamily(
             "straitlink_datagrams", "Datagrams, and drops that belong to no topic.", labels=["what"]
         )
-        for name, value in endpoint.counters_dict().items():
+        for name, value in self._datagrams().items():
             datagrams.add_metric([name], value)
         yield datagrams
         state = endpoint.link_state()
