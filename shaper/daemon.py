@@ -71,40 +71,26 @@ class Daemon:
         self._gathered_at_s = 0.0
         self._silent = False
         self._outlet: BusOutlet | None = None
-        now_ns = time.monotonic_ns()
-        estimator = PresetBands(
-            config.bands, config.pace_ratio, config.endpoint.max_datagram_bytes + IP_UDP_BYTES, now_ns
-        )
         self._keys = read_keys(config)
-        self._journal = _open_journal(config)
-        if self._journal is None:
-            epoch, memory = secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES)
-        else:
-            epoch, memory = self._journal.begin_life(), self._journal.memory
-        endpoint = config.endpoint
-        self._tables = TableExchange(make_table(endpoint.rules, endpoint.accept, endpoint.encodings))
-        self._identity = Identity(epoch, memory, self._tables.hash)
         self._filtered_ids: list[int] = []
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
-        settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
-        self.endpoint = Endpoint(
-            settings, estimator, self._identity.epoch, now_ns, time.time_ns(), self._journal
-        )
 
     async def run(self, stop: asyncio.Event) -> None:
         """Carry messages until `stop` is set. Raises BusError, UdpError or MetricsError."""
         self._loop = asyncio.get_running_loop()
         with contextlib.ExitStack() as stack:
-            stack.callback(self._close_trace)
-            if self._journal is not None:
-                stack.callback(self._journal.close)
-                stack.callback(self._on_handed_over)
+            if self._trace is not None:
+                stack.callback(self._trace.close)
+            # The port first: a daemon that runs already is told by that, and nothing of it is touched.
             self._udp = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagrams)
             stack.callback(self._udp.close)
-            lost = self._config.operator_lost
-            watch = None if lost is None else OperatorWatch(lost, time.monotonic_ns())
-            self._link = LinkEnd(self.endpoint, self._make_channel(self._udp.peer), watch, self._tables)
+            journal = _open_journal(self._config)
+            if journal is not None:
+                stack.callback(journal.close)
+                stack.callback(self._on_handed_over)
+            self._set_up(self._udp.peer, journal)
+            stack.callback(self._finish_trace)
             session = await self._open_bus(stop)
             if session is None:  # asked to stop while the bus was not there yet
                 return
@@ -124,14 +110,30 @@ class Daemon:
             stack.callback(self._stop_timer)
             await stop.wait()
 
-    def _make_channel(self, peer: Address) -> Channel:
-        if not self._keys:
-            _log.warning("the link is open: whoever can reach %s:%d is heard", *self._config.listen)
-            return OpenChannel(peer)
-        now_ns = time.monotonic_ns()
-        return SecureChannel(
-            self._config.side, self._keys, self._identity, peer, secrets.token_bytes, now_ns, time.time_ns()
-        )
+    def _set_up(self, peer: Address, journal: JournalFile | None) -> None:
+        """The endpoint behind its channel."""
+        config, now_ns, unix_ns = self._config, time.monotonic_ns(), time.time_ns()
+        settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
+        max_wire_bytes = settings.max_datagram_bytes + IP_UDP_BYTES
+        estimator = PresetBands(config.bands, config.pace_ratio, max_wire_bytes, now_ns)
+        tables = TableExchange(make_table(settings.rules, settings.accept, settings.encodings))
+        if journal is None:
+            epoch, memory = secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES)
+        else:
+            epoch, memory = journal.begin_life(), journal.memory
+        self.endpoint = Endpoint(settings, estimator, epoch, now_ns, unix_ns, journal)
+        channel: Channel
+        if self._keys:
+            identity = Identity(epoch, memory, tables.hash)
+            channel = SecureChannel(
+                config.side, self._keys, identity, peer, secrets.token_bytes, now_ns, unix_ns
+            )
+        else:
+            _log.warning("the link is open: whoever can reach %s:%d is heard", *config.listen)
+            channel = OpenChannel(peer)
+        lost = config.operator_lost
+        watch = None if lost is None else OperatorWatch(lost, now_ns)
+        self._link = LinkEnd(self.endpoint, channel, watch, tables)
 
     def _open_inlet(self, session: Session) -> BusInlet:
         def wake() -> None:
@@ -360,11 +362,10 @@ class Daemon:
         rule = first_match(self._config.endpoint.rules, key)
         return rule is not None and rule.traffic_class.keep is Keep.LATEST
 
-    def _close_trace(self) -> None:
+    def _finish_trace(self) -> None:
         self._bins.flush()
         if self._trace is not None:
             self._trace.write(ledger_record(self.endpoint, self._sends, time.monotonic_ns()))
-            self._trace.close()
 
 
 def read_keys(config: ShaperConfig) -> tuple[LinkKey, ...]:

@@ -41,9 +41,10 @@ _REKEY_PATIENCE_NS = (
 )  # by which the side that did not start the session lets the other go first
 _REKEY_AFTER_SEALED = MAX_SEALED // 2
 SILENCE_NS = 3 * _NS_PER_S  # without anything from the peer: it may have lost the session
-_FIRST_RETRIES, _FIRST_RETRY_NS = 4, _NS_PER_S // 2
+_FIRST_RETRIES, _FIRST_RETRY_NS = 120, _NS_PER_S // 2
 _RETRY_NS, _SILENT_RETRY_NS = _NS_PER_S, 2 * _NS_PER_S
-_MAX_UNDER_WAY = 8  # handshakes of either direction
+_MAX_ANSWERED = 8  # handshakes that wait for the peer's proof
+_MAX_ASKED = 16  # and for its answer: of round trips up to eight seconds
 _UNDER_WAY_NS = 60 * _NS_PER_S
 _MAX_SESSIONS = 3  # in use, and before it
 _OVERLAP_NS = 60 * _NS_PER_S  # for which former keys still open what is late
@@ -120,7 +121,7 @@ class SecureChannel:
         self._current: Session | None = None  # the one to seal with
         self._by_id: dict[int, Session] = {}
         self._seen_ephemerals: dict[bytes, None] = {}
-        self._to_send: deque[tuple[bytes, Address]] = deque(maxlen=_MAX_UNDER_WAY)
+        self._to_send: deque[tuple[bytes, Address]] = deque(maxlen=_MAX_ANSWERED)
         self._attempts = 0
         self._initiate_at_ns = now_ns
         self._complain_at_ns = now_ns + _NO_ANSWER_NS
@@ -192,7 +193,7 @@ class SecureChannel:
         session_id = self._new_session_id()
         initiator = Initiator(self._own_key.secret, prologue(self._side), self._random(KEY_BYTES))
         message = initiator.write(encode_hello(self._hello(session_id, now_ns)))
-        if len(self._asked) >= _MAX_UNDER_WAY:
+        if len(self._asked) >= _MAX_ASKED:
             self._asked.pop(next(iter(self._asked)))
         self._asked[session_id] = _Asked(initiator, now_ns)
         # It may have moved, or we may have believed that it has.
@@ -316,7 +317,7 @@ class SecureChannel:
         message, keys = responder.write(payload, self._random(KEY_BYTES))
         for late in [i for i, s in self._answered.items() if now_ns - s.made_ns > _UNDER_WAY_NS]:
             del self._answered[late], self._by_id[late]
-        if len(self._answered) >= _MAX_UNDER_WAY:
+        if len(self._answered) >= _MAX_ANSWERED:
             oldest = next(iter(self._answered))
             del self._answered[oldest], self._by_id[oldest]
         session = Session(session_id, hello, keys, key_name, initiated=False, now_ns=now_ns)

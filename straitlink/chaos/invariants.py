@@ -80,7 +80,7 @@ def check_bounds(link: LinkEnd, journal: MemoryJournal) -> None:
     if held_bytes > LIMITS.max_reassembly_bytes * 3:
         raise BrokenInvariant(f"{held_bytes} bytes are held, more than three budgets")
     sessions = len(link.channel.session_ids())
-    if sessions > 3 + 8 + 8:
+    if sessions > 3 + 8 + 16:
         raise BrokenInvariant(f"{sessions} sessions are held")
     if len(journal.own_messages()) > MAX_JOURNAL_MESSAGES:
         raise BrokenInvariant("the journal holds more than it may")
