@@ -83,6 +83,12 @@ class Rig:
             [sys.executable, "-m", "straitlink", *arguments, "--trace", str(trace)], cwd=ROOT
         )
         wait_until(lambda: len(self.records(name)) > lines, 15.0)
+        if name == "link" and {"robot", "operator"} <= self._running.keys():
+            wait_until(lambda: all(self._has_met(side) for side in ("robot", "operator")), 15.0)
+
+    def _has_met(self, side: str) -> bool:
+        """Whether the handshake is done: before it nothing crosses, and the newest sample replaces others."""
+        return any(record["event"] == "peer_started" for record in self.records(side))
 
     def kill(self, name: str) -> None:
         """kill -9."""
