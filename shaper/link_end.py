@@ -29,6 +29,7 @@ from shaper.table_exchange import ASK, PART, TableExchange
 Channel = SecureChannel | OpenChannel
 
 _MAX_CONTROL = 8
+_NEVER_NS = 1 << 62
 
 
 class LinkEnd:
@@ -95,22 +96,32 @@ class LinkEnd:
         """The oldest event not handed over yet, or None."""
         if self._events:
             return self._events.popleft()
-        told = [self.channel.notices, self.endpoint.path_mtu.notices]
-        if self.tables is not None:
-            told.append(self.tables.notices)
-        for notices in told:
-            if notices:
-                return notices.popleft()
+        if self.channel.notices:
+            return self.channel.notices.popleft()
+        if self.endpoint.path_mtu.notices:
+            return self.endpoint.path_mtu.notices.popleft()
+        if self.tables is not None and self.tables.notices:
+            return self.tables.notices.popleft()
         return self.endpoint.next_event()
 
     def wakeup_at_ns(self, now_ns: int) -> int:
         """When something falls due or may leave, if nothing happens before."""
-        due_ns = [self.channel.wakeup_at_ns(), self.watch.wakeup_at_ns() if self.watch else None]
-        if self.channel.ready:
-            due_ns.append(self.endpoint.wakeup_at_ns(now_ns))
-            due_ns.append(self.endpoint.path_mtu.wakeup_at_ns() if self.channel.has_control else None)
-            due_ns.append(self.tables.wakeup_at_ns() if self.tables and self.channel.has_control else None)
-        return min(at_ns for at_ns in due_ns if at_ns is not None)
+        channel, watch = self.channel, self.watch
+        due_ns = channel.wakeup_at_ns()
+        due_ns = _NEVER_NS if due_ns is None else due_ns
+        if watch is not None:
+            due_ns = min(due_ns, watch.wakeup_at_ns())
+        if not channel.ready:
+            return due_ns
+        due_ns = min(due_ns, self.endpoint.wakeup_at_ns(now_ns))
+        if not channel.has_control:
+            return due_ns
+        probe_ns = self.endpoint.path_mtu.wakeup_at_ns()
+        ask_ns = None if self.tables is None else self.tables.wakeup_at_ns()
+        for at_ns in (probe_ns, ask_ns):
+            if at_ns is not None and at_ns < due_ns:
+                due_ns = at_ns
+        return due_ns
 
     def silence_ns(self, now_ns: int) -> int | None:
         """For how long nothing authentic has come from the peer; None if nothing ever has."""

@@ -124,6 +124,7 @@ class SecureChannel:
         self._to_send: deque[tuple[bytes, Address]] = deque(maxlen=_MAX_ANSWERED)
         self._attempts = 0
         self._initiate_at_ns = now_ns
+        self._look_at_ns = now_ns  # not before this; whatever is heard only puts it off
         self._complain_at_ns = now_ns + _NO_ANSWER_NS
         self._noticed: dict[NoticeKind, int] = {}
         # One limit for the peer's address, one for everybody else: neither can use up the other's.
@@ -169,13 +170,16 @@ class SecureChannel:
 
     def next_handshake(self, now_ns: int) -> tuple[bytes, Address] | None:
         """A handshake datagram that has to leave now, and where to; None if there is none."""
-        if now_ns >= self._initiate_when_ns():
-            self._initiate(now_ns)
+        if now_ns >= self._look_at_ns:
+            self._look_at_ns = self._initiate_when_ns()
+            if now_ns >= self._look_at_ns:
+                self._initiate(now_ns)
+                self._look_at_ns = self._initiate_when_ns()
         return self._to_send.popleft() if self._to_send else None
 
     def wakeup_at_ns(self) -> int:
         """When there may be something to do, if nothing happens before."""
-        return self._initiate_when_ns()
+        return self._look_at_ns
 
     def _initiate_when_ns(self) -> int:
         session = self._current
@@ -352,6 +356,7 @@ class SecureChannel:
             self._asked.clear()
             self._attempts = 0
             self._initiate_at_ns = now_ns + _FIRST_RETRY_NS
+        self._look_at_ns = now_ns
         self.counters.handshakes += 1
         first = self.counters.handshakes == 1
         if first:
