@@ -88,6 +88,7 @@ class _LinkTable(_Table):
     peer: str
     max_datagram_bytes: Annotated[int, Field(ge=300, le=1472)] = 1200
     pace_ratio: Annotated[float, Field(gt=0, le=1)] = 0.95
+    estimator: Literal["presets", "adaptive"] = "presets"
     bands: Annotated[list[_BandTable], Field(min_length=1)]
     accept: list[str] = ["**"]
     keys: list[str] = []
@@ -188,6 +189,7 @@ class ShaperConfig:
     endpoint: EndpointSettings
     bands: tuple[PresetBand, ...]
     pace_ratio: float
+    estimator: Literal["presets", "adaptive"] = "presets"
     metrics: tuple[str, int] | None = None
     key_files: tuple[Path, ...] = ()
     open_link: bool = False
@@ -440,6 +442,7 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
             PresetBand(b.name, b.rate_bps, round(b.one_way_delay_ms * _NS_PER_MS)) for b in link.bands
         ),
         pace_ratio=link.pace_ratio,
+        estimator=link.estimator,
         metrics=None if table.metrics is None else parse_address(table.metrics.listen),
         key_files=tuple(path.parent / name for name in link.keys),
         open_link=link.open,

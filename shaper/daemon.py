@@ -20,13 +20,14 @@ from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
 from shaper.endpoint import Endpoint
 from shaper.errors import ConfigError
+from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.handshake import MEMORY_BYTES, Identity
 from shaper.journal_file import JournalFile
 from shaper.key_file import read_key_file
 from shaper.link_end import Channel, LinkEnd, pump_link
-from shaper.link_estimator import PresetBands
+from shaper.link_estimator import LinkEstimator, PresetBands
 from shaper.link_key import LinkKey
 from shaper.metrics import MetricsServer
 from shaper.notices import Notice
@@ -114,8 +115,7 @@ class Daemon:
         """The endpoint behind its channel."""
         config, now_ns, unix_ns = self._config, time.monotonic_ns(), time.time_ns()
         settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
-        max_wire_bytes = settings.max_datagram_bytes + IP_UDP_BYTES
-        estimator = PresetBands(config.bands, config.pace_ratio, max_wire_bytes, now_ns)
+        estimator = _make_estimator(config, now_ns)
         tables = TableExchange(make_table(settings.rules, settings.accept, settings.encodings))
         if journal is None:
             epoch, memory = secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES)
@@ -390,6 +390,13 @@ def _open_journal(config: ShaperConfig) -> JournalFile | None:
     return JournalFile(
         config.journal, secrets.token_bytes, limits.max_journal_messages, limits.max_journal_bytes
     )
+
+
+def _make_estimator(config: ShaperConfig, now_ns: int) -> LinkEstimator:
+    max_wire_bytes = config.endpoint.max_datagram_bytes + IP_UDP_BYTES
+    if config.estimator == "adaptive":
+        return AdaptiveEstimator(config.bands, now_ns, max_wire_bytes)
+    return PresetBands(config.bands, config.pace_ratio, max_wire_bytes, now_ns)
 
 
 def _capture_ns(stamp: Stamp | None, received_ns: int, unix_minus_monotonic_ns: int) -> int:

@@ -182,11 +182,12 @@ class Endpoint:
     def next_datagram(self, now_ns: int) -> bytes | None:
         """The next datagram that may leave now, or None."""
         estimator = self._estimator
-        only_emergency = not estimator.pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
-        holding = self.holding
+        gated = not estimator.pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
+        only_emergency = gated and now_ns < max(estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())
+        holding = self.holding or gated
         queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
-        due = self._what_is_due(now_ns, gated=only_emergency)
-        probe_bytes = 0 if only_emergency else estimator.probe_bytes(now_ns)
+        due = self._what_is_due(now_ns, gated=gated)
+        probe_bytes = 0 if gated else estimator.probe_bytes(now_ns)
         if queue is None and not due.anything and not probe_bytes:
             return None
         out = bytearray(HEADER_BYTES)
@@ -230,6 +231,9 @@ class Endpoint:
         if self._outgoing.scheduler.next_queue(only_always_send=self.holding) is not None:
             wakeup_ns = now_ns
         wakeup_ns = max(wakeup_ns, self._estimator.pacer.next_send_at_ns(now_ns), self._trickle_at_ns())
+        if self._outgoing.scheduler.next_queue(only_always_send=True) is not None:
+            urgent_ns = max(self._estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())
+            wakeup_ns = max(min(wakeup_ns, urgent_ns), now_ns + 1)
         promised_ns = self._timers.promised_until_ns
         for at_ns in (self._estimator.wakeup_at_ns(), self._outgoing.wants_at_ns(), promised_ns):
             if at_ns is not None and at_ns < wakeup_ns:

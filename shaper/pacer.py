@@ -16,6 +16,9 @@ class Pacing(Protocol):
     def next_send_at_ns(self, now_ns: int) -> int:
         """The earliest time at which `may_send` holds, if nothing is sent before."""
 
+    def urgent_at_ns(self, now_ns: int) -> int:
+        """The same for classes with always_send."""
+
     def on_sent(self, wire_bytes: int, now_ns: int) -> None:
         """A datagram leaves, headers included, whether or not it was allowed to."""
 
@@ -60,6 +63,10 @@ class Pacer:
         if self._credit >= 0:
             return now_ns
         return now_ns - (self._credit // self.rate_bps)  # floor of a negative number: the wait rounds up
+
+    def urgent_at_ns(self, now_ns: int) -> int:
+        """The same: the bucket is never in debt by more than a datagram."""
+        return self.next_send_at_ns(now_ns)
 
     def _refill(self, now_ns: int) -> None:
         elapsed_ns = now_ns - self._updated_ns

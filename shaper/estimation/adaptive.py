@@ -51,7 +51,7 @@ TRICKLE_NS = 100 * NS_PER_MS  # in hold, a datagram at least this often is not n
 TRICKLE_SHARE = 0.02  # ... and at most this share of the rate is taken, as a link may hold the queue
 TRICKLE_BYTES = 110
 TRICKLE_SLOWING = 64  # its interval is at least the silence over this: half a minute held costs 0.2 s
-MAX_TRICKLE_NS = 300 * NS_PER_MS
+MAX_TRICKLE_NS = 200 * NS_PER_MS
 
 SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
 OVERDUE_NS = 15 * NS_PER_MS  # a report may be this late ...
@@ -117,6 +117,11 @@ class AdaptiveEstimator:
         self._rtts: list[tuple[int, int]] = []
         self._silent = False  # whether it is the peer's silence for which the link is held
         self._train_interval_ns = START_INTERVAL_NS
+        if bands:  # a hint: trains follow each other at the thinnest band's rate until one is reported
+            self.rate_bps = min(band.rate_bps for band in bands)
+            self.pacer.set(self.rate_bps, 0, now_ns)
+            self._train_interval_ns = TRAIN_INTERVAL_NS
+        self._hinted = bool(bands)
         self._train_ns = now_ns  # when the newest train left
         self._doubt_until_ns = now_ns  # until then the link may carry more than is known
 
@@ -163,10 +168,10 @@ class AdaptiveEstimator:
         idle_ns = now_ns - self._empty_ns
         wait_ns = pacer.wait_ns(now_ns)
         self._empty_ns = now_ns + wait_ns
-        begins_train = self._probes_left == 0
+        in_train = self._probes_left > 0
         self._probes_left = max(0, self._probes_left - 1)
         if self.state is State.PROBE:
-            self._pace_trains(begins_train)
+            self._pace_trains(in_train, now_ns)
         elif self.state is State.HOLD and not self._probes_left:
             pacer.not_before_ns = now_ns + self._trickle_ns(now_ns)
         elif self.state is State.RUN and self._ideas.verify and not self._baseline.pausing:
@@ -247,10 +252,12 @@ class AdaptiveEstimator:
             return
         if self._known_bps is None:
             self._train_interval_ns = max(TRAIN_INTERVAL_NS, self._rtt_ns() // 2)
-        rate_bps = self._dispersion.of_trains(self._epoch_ns, self._known_bps)
+        known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
+        still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
+        rate_bps = known_bps if still else self._dispersion.of_trains(self._epoch_ns)
         if rate_bps is not None:
             self._enter(Input.MEASURED, now_ns)
-            if rate_bps == self._known_bps and self._baseline.delay_ns is not None:
+            if still and self._baseline.delay_ns is not None:
                 self._resume(rate_bps, now_ns)
             else:
                 self._change(rate_bps, now_ns)
@@ -288,13 +295,13 @@ class AdaptiveEstimator:
         self._probes_left = TRAIN_DATAGRAMS
         self.pacer.free = TRAIN_DATAGRAMS
 
-    def _pace_trains(self, begins_train: bool) -> None:
+    def _pace_trains(self, in_train: bool, now_ns: int) -> None:
         """Trains leave whole, and one after the other has been served at the cautious rate."""
-        if begins_train:
+        if not in_train and now_ns >= self.pacer.not_before_ns:
             self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
-        elif self._probes_left == 0:
+        elif in_train and self._probes_left == 0:
             self.pacer.not_before_ns = self._empty_ns + self._train_interval_ns
-            if self._known_bps is None:  # nothing is known: wait for an answer, ever longer
+            if self._known_bps is None and not self._hinted:  # wait for an answer, ever longer
                 self._train_interval_ns = min(2 * self._train_interval_ns, MAX_START_INTERVAL_NS)
 
     def _trickle_ns(self, now_ns: int) -> int:

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from shaper.estimation.flights import Flight
 
 PAUSE_NS = 10_000_000  # beyond the computed end of the queue
+CHANGE_PAUSE_NS = 40_000_000  # after a change, when the queue is less sure
 MAX_PAUSE_NS = 400_000_000
 INTERVAL_NS = 5_000_000_000  # between pauses: 10 ms of 5 s are 0.2 % of the link
 SOON_NS = 200_000_000  # after a change
@@ -45,7 +46,7 @@ class Baseline:
     def restart(self, from_ns: int) -> None:
         """The link has changed; nothing is known until the first arrivals of what leaves from then on."""
         self.delay_ns = None
-        self.pause_ns = PAUSE_NS
+        self.pause_ns = CHANGE_PAUSE_NS
         self.begin(from_ns, -(1 << 62))
 
     def lower(self, delay_ns: int) -> int:
@@ -69,6 +70,9 @@ class Baseline:
         hidden = self._before_ns - after_ns > max(self.pause_ns / 2, 1.5 * noise_ns)
         first = self.delay_ns is None
         self.delay_ns, self._from_ns = after_ns, None
-        self.pause_ns = min(MAX_PAUSE_NS, 2 * self.pause_ns) if hidden else PAUSE_NS
+        if hidden:
+            self.pause_ns = min(MAX_PAUSE_NS, 2 * self.pause_ns)
+        elif not first:
+            self.pause_ns = PAUSE_NS
         self.due_ns = now_ns + (0 if hidden else SOON_NS if first else INTERVAL_NS)
         return True

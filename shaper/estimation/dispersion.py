@@ -27,6 +27,7 @@ _TRAIN_GAP = 0.5  # of what a datagram takes at the known rate: so close togethe
 _TESTED_PAIRS = 60  # as far back as a fall or a rise may show
 _EXPANDED = 0.8  # gap over spread, below which the second datagram has surely waited
 _TRAIN_EXPANDED = 0.6
+_STILL_RATIO = 0.8
 _WINDOW_NOISES = 200  # the average runs over so many sigma of arrivals: within 1 % of the rate ...
 _WINDOW_NS = (250_000_000, 4_000_000_000)  # ... but within these bounds
 
@@ -144,13 +145,17 @@ class Dispersion:
                     return bits * 1e9 / spread_ns
         return None
 
-    def of_trains(self, since_ns: int, known_bps: float | None) -> float | None:
-        """The rate by the trains that left since then; known_bps: a rate that may still hold."""
+    def still(self, since_ns: int, known_bps: float) -> bool:
+        """Whether what left since then arrived as close as only about the known rate allows."""
         pairs = [p for p in self._pairs if p.sent_ns >= since_ns and p.measurable]
-        if known_bps is not None and len(pairs) >= 2:
-            bound_bps = _ratio(sorted(pairs, key=lambda p: p.spread_ns / p.bits)[: max(2, len(pairs) // 2)])
-            if bound_bps >= 0.8 * known_bps:
-                return known_bps
+        if len(pairs) < 2:
+            return False
+        closest = sorted(pairs, key=lambda p: p.spread_ns / p.bits)[: max(2, len(pairs) // 2)]
+        return _ratio(closest) >= _STILL_RATIO * known_bps
+
+    def of_trains(self, since_ns: int) -> float | None:
+        """The rate by the trains that left since then."""
+        pairs = [p for p in self._pairs if p.sent_ns >= since_ns and p.measurable]
         trains = [p for p in pairs if p.gap_ns < _TRAIN_EXPANDED * p.spread_ns]
         if len(trains) < 2:
             return None

@@ -8,6 +8,9 @@ correct it. A late timer costs nothing: the computed queue drains meanwhile.
 from __future__ import annotations
 
 NS_PER_S = 1_000_000_000
+URGENT_INTERVAL_NS = 60_000_000  # what must always pass waits no longer than this for the queue to drain ...
+LONGEST_PAUSE_NS = 120_000_000  # that what must always pass can wait for
+URGENT_BYTES, URGENT_SHARE = 130, 0.3  # ... or than keeps it, a heartbeat's size each, to this share
 
 
 class VirtualQueue:
@@ -17,7 +20,16 @@ class VirtualQueue:
     not_before_ns: nothing leaves before, whatever the queue says. free: so many datagrams leave at once.
     """
 
-    __slots__ = ("_level", "_updated_ns", "allowance_ns", "found_ns", "free", "not_before_ns", "rate_bps")
+    __slots__ = (
+        "_level",
+        "_updated_ns",
+        "allowance_ns",
+        "found_ns",
+        "free",
+        "not_before_ns",
+        "rate_bps",
+        "sent_ns",
+    )
 
     def __init__(self, rate_bps: int, allowance_ns: int, now_ns: int) -> None:
         self.rate_bps = rate_bps
@@ -25,6 +37,7 @@ class VirtualQueue:
         self.not_before_ns = now_ns
         self.free = 0
         self.found_ns = 0  # what the newest datagram found before it
+        self.sent_ns = now_ns  # when the newest datagram left
         self._level = 0
         self._updated_ns = now_ns
 
@@ -36,6 +49,14 @@ class VirtualQueue:
         """The earliest time at which `may_send` holds, if nothing is sent before."""
         return max(now_ns, self.opens_ns())
 
+    def urgent_at_ns(self, now_ns: int) -> int:
+        """The earliest time for what always passes: it does not wait for the queue to drain."""
+        share_ns = int(URGENT_BYTES * 8 * NS_PER_S / (URGENT_SHARE * self.rate_bps))
+        urgent_ns = self.sent_ns + max(URGENT_INTERVAL_NS, share_ns)
+        if self.not_before_ns - self.sent_ns < LONGEST_PAUSE_NS:  # a pause to measure in is kept
+            urgent_ns = max(urgent_ns, self.not_before_ns)
+        return min(max(now_ns, urgent_ns), self.next_send_at_ns(now_ns))
+
     def opens_ns(self) -> int:
         """When a datagram may leave, or since when it may have."""
         if self.free > 0:
@@ -46,6 +67,7 @@ class VirtualQueue:
     def on_sent(self, wire_bytes: int, now_ns: int) -> None:
         """Charge a datagram, IP and UDP headers included, whether or not it was allowed to leave."""
         self.found_ns = self.wait_ns(now_ns)
+        self.sent_ns = now_ns
         self._level += wire_bytes * 8 * NS_PER_S
         self.free = max(0, self.free - 1)
 

@@ -35,3 +35,9 @@ def test_the_rate_follows_the_link_within_a_second_and_a_half_of_its_change() ->
     for at_s, true_bps in ((58.0, 1e6), (62.5, 1e5), (118.0, 1e5), (121.5, 1e6)):
         _, state = [s for s in states if s[0] <= at_s][-1]
         assert float(str(state["rate_bps"])) == pytest.approx(true_bps, rel=0.06), at_s
+
+
+def test_heartbeats_pass_while_the_estimator_holds_and_measures() -> None:
+    mission = replace(settings("trials", "camera-flood", 150, 1), estimator=adaptive)
+    heartbeat = run_mission(mission)["topics"]["robot/heartbeat"]
+    assert heartbeat["delivered"] >= 0.995 * heartbeat["offered"]

@@ -280,7 +280,11 @@ def test_a_mistake_is_told_by_file_field_value_and_expectation(
     ("section", "field", "known"),
     [
         ("", "speed", "link, zenoh, classes, tiers, metrics, operator_lost, topics, limits"),
-        ("[link]", "link.speed", "side, listen, peer, max_datagram_bytes, pace_ratio, bands, accept"),
+        (
+            "[link]",
+            "link.speed",
+            "side, listen, peer, max_datagram_bytes, pace_ratio, estimator, bands, accept",
+        ),
         ("[[link.bands]]", "link.bands[0].speed", "name, rate_bps, one_way_delay_ms"),
         ("[zenoh]", "zenoh.speed", "mode, listen, connect, config"),
         ("[[topics]]", "topics[0].speed", "key, class, max_hz, compression, weight, entries, pull"),

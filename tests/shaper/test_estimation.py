@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -113,3 +114,8 @@ def test_nothing_is_probed_before_the_peer_is_heard() -> None:
     assert estimator.probe_bytes(6 * S) == 0 and estimator.wakeup_at_ns() is None
     estimator.on_heard(0, 123_456, 1 * S, 7 * S)
     assert estimator.probe_bytes(7 * S) > 0 and estimator.confidence == 0.0
+
+
+def test_the_documents_diagram_is_the_table() -> None:
+    document = (Path(__file__).parents[2] / "docs" / "link_estimation.md").read_text()
+    assert f"```mermaid\n{mermaid()}\n```" in document
