@@ -14,7 +14,7 @@ import math
 import multiprocessing
 import time
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -25,7 +25,7 @@ from bench.link_controls import DelayGradient, TrialsRule
 from bench.link_rows import ROWS, Row
 from bench.link_score import Score, judge
 from bench.machine import provenance
-from shaper.estimation.adaptive import AdaptiveEstimator
+from shaper.estimation.adaptive import AdaptiveEstimator, Ideas
 from shaper.link_estimator import EstimatorFactory, PresetBands
 from shaper.trace_records import Record
 from straitlink.mission import MissionSettings, load_named_or_file, run_mission
@@ -76,10 +76,16 @@ def estimators() -> dict[str, EstimatorFactory]:
     """By name; the ablations of ours are called adaptive-<idea>."""
     return {
         "adaptive": lambda bands, now_ns: AdaptiveEstimator(now_ns=now_ns),
+        **{f"adaptive-{idea.name}": _without(idea.name) for idea in fields(Ideas)},
         "presets": lambda bands, now_ns: PresetBands(bands, now_ns=now_ns),
         "trials rule": TrialsRule,
         "gradient": DelayGradient,
     }
+
+
+def _without(idea: str) -> EstimatorFactory:
+    ideas = replace(Ideas(), **{idea: False})
+    return lambda bands, now_ns: AdaptiveEstimator(now_ns=now_ns, ideas=ideas)
 
 
 def fly(row_name: str, estimator: str, seed: int, minutes: float = MINUTES) -> Figures:
@@ -220,9 +226,12 @@ def main() -> None:
     parser.add_argument("--estimators", nargs="*", default=None, choices=list(estimators()), metavar="NAME")
     parser.add_argument("--minutes", type=float, default=MINUTES)
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--ablation", action="store_true", help="ours, with each idea off in turn")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    names = arguments.estimators or ["presets", "trials rule", "gradient"]
+    names = arguments.estimators or ["adaptive", "presets", "trials rule", "gradient"]
+    if arguments.ablation:
+        names = ["adaptive", *(name for name in estimators() if name.startswith("adaptive-"))]
     pairs = [(row, name) for name in names for row in arguments.rows]
     jobs = [(row, name, seed, arguments.minutes) for row, name in pairs for seed in arguments.seeds]
     figures = run(jobs, arguments.processes)

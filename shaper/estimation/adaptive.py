@@ -282,7 +282,6 @@ class AdaptiveEstimator:
 
     def _begin_probing(self, now_ns: int) -> None:
         """The cautious rate: a band that was seen, or a tenth of the last."""
-        assert self._known_bps is not None or not self._rtts, "only a known band is held"
         known_bps = self._known_bps or START_BPS
         cautious_bps = max(known_bps / CAUTION, min(known_bps, LEAST_CAUTIOUS_BPS))
         lowest = self._bands.lowest_below(self._known_bps) if self._known_bps and self._ideas.bands else None
