@@ -19,6 +19,7 @@ from .codec_id import CodecId, codec_of, wished_codec
 from .errors import DecodeError, EncodeError
 from .finite_points import finite_points
 from .occupancy import MAX_CELLS, MAX_DEPTH, Cells
+from .own_lattice import own_step_m, slack_m
 
 Points = NDArray[np.float32]
 _LATTICE = struct.Struct("<3fff")  # origin x, y, z; step; achieved maximum error: metres
@@ -73,6 +74,7 @@ def encode_cloud(
     points: (N, 3) metres in any frame, N from 0; rows that are not finite are left out.
     bits: per axis, 1..20, over the longest side of the cloud's box; or
     max_error_m: no point moves by more than this, measured straight through the three axes.
+    Points that lie on a coarser lattice than that already, such as centres of voxels, are coded on it.
     codec: "zlib" (the paper's), "zstd" (fast), "context" (small); None for the smaller of the latter.
     Raises EncodeError for what cannot be held: coordinates above 1e30 m, more than 2**20 cells along
     an axis, more than 2**19 cells in all, an error below the rounding of float32 at such coordinates.
@@ -80,6 +82,8 @@ def encode_cloud(
     codec = wished_codec(codec, _CODECS)
     known = finite_points(points)
     lattice = _lattice(known, bits, max_error_m)
+    if codec is not CodecId.CLOUD_ZLIB:
+        lattice = _own_lattice(known, lattice) or lattice
     cells = lattice.cells_of(known)
     achieved_m = _farthest_m(known, lattice.points_of(cells))
     header = _LATTICE.pack(*lattice.origin_m, lattice.step_m, achieved_m)
@@ -129,10 +133,19 @@ def _lattice(points: NDArray[np.float64], bits: int | None, max_error_m: float |
     return _Lattice(origin_m, float(np.float32(step_m)) if step_m > _LEAST_STEP_M else 0.0)
 
 
+def _own_lattice(points: NDArray[np.float64], wished: _Lattice) -> _Lattice | None:
+    """The lattice of the points themselves, if it is coarser than the wished one and moves none of them."""
+    step_m = own_step_m(points, wished.step_m) if wished.step_m else None
+    if step_m is None:
+        return None
+    own = _Lattice(wished.origin_m, float(np.float32(step_m)))
+    return own if _farthest_m(points, own.points_of(own.cells_of(points))) <= slack_m(points) else None
+
+
 def _check_wish(bits: int | None, max_error_m: float | None) -> None:
     if (bits is None) == (max_error_m is None):
         raise EncodeError(f"bits = {bits} and max_error_m = {max_error_m}: exactly one must be given")
-    if bits is not None and not 1 <= bits <= MAX_DEPTH:
+    if bits is not None and bits not in range(1, MAX_DEPTH + 1):
         raise EncodeError(f"bits = {bits} is outside 1..{MAX_DEPTH}")
     if max_error_m is not None and not 0 < max_error_m < math.inf:
         raise EncodeError(f"max_error_m = {max_error_m} must be above 0 and finite")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import map_context, map_plain
 from .codec_id import CodecId, codec_of
@@ -59,7 +59,7 @@ class MapView:
 
 
 def encode_map(
-    values: NDArray[np.float32],
+    values: ArrayLike,
     *,
     max_error_m: float | None = None,
     bits: int | None = None,
@@ -69,16 +69,18 @@ def encode_map(
 ) -> bytes:
     """A map that decodes alone.
 
-    values: (rows, columns) float32 metres; what is not finite is a hole. Quantised to `max_error_m`, or
-    over its own range to `bits` (8, the paper's, if neither is given). codec: "zlib", "serpentine" or
-    "context"; None takes the smaller of the last two, or the serpentine without Numba or above 65,536 cells.
+    values: (rows, columns) metres in a kind of float, coded as float32; what is not finite is a hole.
+    Quantised to `max_error_m`, or over its own range to `bits` (8, the paper's, if neither is given).
+    codec: "zlib", "serpentine" or "context"; None takes the smaller of the last two, or the serpentine
+    without Numba or above 65,536 cells.
     denoise: a bilateral filter first. close_gaps: the reader fills gaps of one or two cells and marks
     them. Raises EncodeError for a map or a wish that cannot be carried.
     """
-    values = _checked_map(values)
+    exact = _checked_map(values)
+    known = exact.astype(np.float32)
     bits = _checked_fidelity(max_error_m, bits)
     codec = _checked_codec(codec)
-    sent = denoised(values) if denoise else values
+    sent = denoised(known) if denoise else known
     lattice = lattice_for(sent[np.isfinite(sent)], max_error_m=max_error_m, bits=bits)
     cells = quantise(sent, lattice)
     flags = (MapFlag.DENOISED if denoise else MapFlag(0)) | (MapFlag.CLOSED if close_gaps else MapFlag(0))
@@ -89,12 +91,12 @@ def encode_map(
     header = MapHeader(
         codec,
         flags,
-        values.shape[0],
-        values.shape[1],
+        known.shape[0],
+        known.shape[1],
         cells.levels,
         lattice.origin_m,
         lattice.step_m,
-        _achieved_error_m(values, _measured(cells.codes, flags, lattice.origin_m, lattice.step_m)),
+        _achieved_error_m(exact, _measured(cells.codes, flags, lattice.origin_m, lattice.step_m)),
     )
     return pack_header(header) + stream
 
@@ -181,22 +183,23 @@ def _measured(
     return smoothed(values, step_m) if flags & MapFlag.DENOISED else values
 
 
-def _achieved_error_m(values: NDArray[np.float32], decoded: NDArray[np.float32]) -> float:
+def _achieved_error_m(values: NDArray[np.float64], decoded: NDArray[np.float32]) -> float:
     """The largest difference on measured cells, rounded up to a float32."""
-    off = np.abs(values.astype(np.float64) - decoded)
+    off = np.abs(values - decoded)
     worst = float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
     error = np.float32(worst)
     return float(error if float(error) >= worst else np.nextafter(error, np.float32(np.inf)))
 
 
-def _checked_map(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    values = np.asarray(values)
-    if values.ndim != 2 or values.dtype != np.float32:
-        raise EncodeError(f"a map is (rows, columns) float32, not {values.ndim} axes of {values.dtype}")
-    rows, columns = values.shape
+def _checked_map(values: ArrayLike) -> NDArray[np.float64]:
+    """The map with NaN for whatever is no length."""
+    array = np.asarray(values)
+    if array.ndim != 2 or array.dtype.kind != "f":  # whole numbers may well be millimetres
+        raise EncodeError(f"a map is (rows, columns) float32, not {array.ndim} axes of {array.dtype}")
+    rows, columns = array.shape
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE and rows * columns <= MAX_CELLS):
         raise EncodeError(f"a map of {rows} x {columns} cells is outside 1..{MAX_CELLS} cells")
-    known = np.where(np.isfinite(values), values, np.float32(np.nan))
+    known = np.where(np.isfinite(array), array, np.nan).astype(np.float64)
     if np.any(np.abs(known) > MAX_LENGTH_M):
         raise EncodeError(f"a map's values must be within ±{MAX_LENGTH_M:g} m")
     return known
@@ -211,7 +214,7 @@ def _checked_fidelity(max_error_m: float | None, bits: int | None) -> int | None
             raise EncodeError(f"max_error_m = {max_error_m} must be above 0")
         return None
     bits = PAPER_BITS if bits is None else bits
-    if not LEAST_BITS <= bits <= MOST_BITS:
+    if bits not in range(LEAST_BITS, MOST_BITS + 1):
         raise EncodeError(f"bits = {bits} must be within {LEAST_BITS}..{MOST_BITS}")
     return bits
 

@@ -89,6 +89,44 @@ def test_clouds_of_nothing_one_place_or_huge_size_work(
         assert distances_m(known, view.points).max() <= max(view.max_error_m, 1e23)
 
 
+def voxels(seed: int = 0) -> NDArray[np.int64]:
+    """(N, 3) voxels of 3 cm that hold a point of a room."""
+    return np.unique(np.floor(room_cloud(1500, seed) / 0.03), axis=0).astype(np.int64)
+
+
+@pytest.mark.parametrize("codec", ["zstd", "context"])
+@pytest.mark.parametrize("wish", [{"bits": 8}, {"bits": 16}, {"max_error_m": 0.004}])
+@pytest.mark.parametrize("offset_m", [(0.0, 0.0, 0.0), (-71.3, 12.77, 0.4)])
+def test_centres_of_voxels_come_back_as_they_were_for_the_voxels_bytes(
+    codec: str | None, wish: dict[str, float], offset_m: tuple[float, float, float]
+) -> None:
+    centres = ((voxels() + 0.5) * 0.03 + np.array(offset_m)).astype(np.float32)
+    message = encode_cloud(centres, **wish, codec=codec)  # type: ignore[arg-type]
+    view = decode_cloud(message)
+    assert view.step_m == pytest.approx(0.03, rel=1e-5)
+    assert distances_m(centres, view.points).max() <= view.max_error_m <= 4e-5
+    assert len(view.points) == len(centres)
+    least = encode_cloud(voxels().astype(float), max_error_m=0.5, codec=codec)
+    assert len(message) == len(least)
+
+
+@settings(max_examples=60)
+@given(
+    cells=arrays.arrays(np.int64, st.tuples(st.integers(2, 30), st.just(3)), elements=st.integers(-300, 300)),
+    step_m=st.floats(0.005, 0.5),
+    bits=st.integers(1, 20),
+)
+def test_a_lattice_of_any_step_is_no_worse_than_the_one_asked_for(
+    cells: NDArray[np.int64], step_m: float, bits: int
+) -> None:
+    cloud = (cells * step_m).astype(np.float32)
+    view = decode_cloud(encode_cloud(cloud, bits=bits, codec="zstd"))
+    asked_m = decode_cloud(encode_cloud(cloud, bits=bits, codec="zlib"))
+    assert view.max_error_m <= max(asked_m.max_error_m, 16 * np.spacing(np.abs(cloud).max()))
+    assert view.step_m >= asked_m.step_m
+    assert distances_m(cloud, view.points).max() <= view.max_error_m * (1 + 1e-12)
+
+
 def test_points_without_a_place_are_left_out() -> None:
     cloud = room_cloud(300)
     holed = np.concatenate(

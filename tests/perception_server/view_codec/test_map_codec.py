@@ -170,6 +170,7 @@ def test_closing_costs_no_bytes() -> None:
         ({"max_error_m": 0.01, "bits": 8}, "give one of the two"),
         ({"max_error_m": 1e-6}, "the most is 65535"),
         ({"bits": 17}, "bits = 17 must be within 2..16"),
+        ({"bits": 8.5}, "bits = 8.5 must be within 2..16"),
         ({"codec": "lerc"}, "codec = 'lerc' is none of"),
     ],
 )
@@ -182,7 +183,7 @@ def test_a_wish_that_cannot_be_carried_is_a_sentence(wish: dict[str, object], se
     "values",
     [
         np.zeros(4, np.float32),
-        np.zeros((2, 2)),
+        np.zeros((2, 2), np.uint16),
         np.zeros((0, 3), np.float32),
         np.zeros((400, 400), np.float32),
     ],
@@ -190,6 +191,14 @@ def test_a_wish_that_cannot_be_carried_is_a_sentence(wish: dict[str, object], se
 def test_what_is_no_map_is_refused(values: MapArray) -> None:
     with pytest.raises(EncodeError, match="a map"):
         encode_map(values)
+
+
+@pytest.mark.parametrize("kind", ["<f8", ">f8", ">f4", "<f2"])
+def test_a_map_of_another_kind_of_float_keeps_the_error_to_its_own_numbers(kind: str) -> None:
+    values = (np.random.default_rng(3).normal(0, 0.3, (30, 40)) + 60.0 * (kind[2] == "8")).astype(kind)
+    view = decode_map(encode_map(values[::2, ::-1], max_error_m=0.00125))
+    off_m = np.abs(values[::2, ::-1].astype(np.float64) - view.values).max()
+    assert off_m <= view.max_error_m <= 0.00125
 
 
 def test_a_large_map_takes_the_serpentine() -> None:
