@@ -70,6 +70,7 @@ class Daemon:
         self._timer: asyncio.TimerHandle | None = None
         self._gathering = False
         self._gathered_at_s = 0.0
+        self._seen_ns = 0  # the latest instant that the core has been told of
         self._silent = False
         self._outlet: BusOutlet | None = None
         self._keys = read_keys(config)
@@ -186,10 +187,10 @@ class Daemon:
     def _on_datagrams(self, datagrams: Datagrams) -> None:
         if self._outlet is None:  # the bus is not there yet: nobody could be told
             return
-        now_ns = time.monotonic_ns()
-        for data, source in datagrams:
-            self._link.receive(data, source, now_ns)
-        self._pump(now_ns)
+        for data, source, received_ns in datagrams:
+            self._seen_ns = max(self._seen_ns, received_ns)  # the core's time never goes back
+            self._link.receive(data, source, self._seen_ns)
+        self._pump(time.monotonic_ns())
 
     def _on_timer(self) -> None:
         self._timer = None
@@ -198,6 +199,7 @@ class Daemon:
         self._pump(now_ns)
 
     def _pump(self, now_ns: int) -> None:
+        self._seen_ns = now_ns
         wakeup_ns = pump_link(self._link, now_ns, self._send, self._handle)
         self._filter_strangers()
         when_s = wakeup_ns / _NS_PER_S

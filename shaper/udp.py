@@ -8,6 +8,7 @@ import errno
 import socket
 import struct
 import sys
+import time
 from collections.abc import Callable, Sequence
 
 from shaper.secure_channel import Address
@@ -15,9 +16,16 @@ from shaper.socket_filter import SO_ATTACH_FILTER, encode_program, filter_progra
 
 _BUFFER_BYTES = 1 << 20  # the socket's own buffers: a link's worth of seconds, so that none is lost here
 _MAX_BYTES = 65_535
+_ANCILLARY_BYTES = socket.CMSG_SPACE(16)  # one time stamp
 _BATCH = 64  # datagrams that are read before the loop looks at anything else
 
-Datagrams = list[tuple[bytes, Address]]
+_TIMESTAMP = 35  # Linux's SO_TIMESTAMPNS and SCM_TIMESTAMPNS: the wall clock at which the kernel had it
+_TIMESPEC = struct.Struct("@ll")
+_NS_PER_S = 1_000_000_000
+_MAX_WAIT_NS = _NS_PER_S  # a datagram that seems to have waited longer met a step of the wall clock
+
+Datagrams = list[tuple[bytes, Address, int]]
+"""Each with its source, and when the kernel had it, in ns of the monotonic clock."""
 
 
 class UdpError(Exception):
@@ -28,7 +36,8 @@ class UdpLink:
     """Datagrams to and from whomever; the channel behind it knows who may be heard.
 
     peer: the other side's configured address, resolved. An unreachable peer is no error: the link may be
-    down, or the other side not started yet.
+    down, or the other side not started yet. Where the kernel stamps what arrives (Linux), a busy event
+    loop does not make a datagram look late.
     """
 
     def __init__(self, sock: socket.socket, peer: Address, on_datagrams: Callable[[Datagrams], None]) -> None:
@@ -50,6 +59,8 @@ class UdpLink:
         sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
             sock.setblocking(False)
+            if sys.platform == "linux":
+                sock.setsockopt(socket.SOL_SOCKET, _TIMESTAMP, 1)
             for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
                 sock.setsockopt(socket.SOL_SOCKET, option, _BUFFER_BYTES)
             bind_to = await loop.getaddrinfo(*listen, family=family, type=socket.SOCK_DGRAM)
@@ -93,15 +104,28 @@ class UdpLink:
 
     def _on_readable(self) -> None:
         gathered: Datagrams = []
+        now_ns, unix_ns = time.monotonic_ns(), time.time_ns()
         for _ in range(_BATCH):
             assert self._socket is not None, "a closed socket has no reader"
             try:
-                data, source = self._socket.recvfrom(_MAX_BYTES)
+                data, ancillary, _, source = self._socket.recvmsg(_MAX_BYTES, _ANCILLARY_BYTES)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError:  # an answer to something that we sent earlier
                 self.send_errors += 1
                 continue
-            gathered.append((data, (source[0], source[1])))
+            waited_ns = unix_ns - _stamped_unix_ns(ancillary, unix_ns)
+            if not 0 <= waited_ns <= _MAX_WAIT_NS:  # came while we read, or the wall clock was stepped
+                waited_ns = 0
+            gathered.append((data, (source[0], source[1]), now_ns - waited_ns))
         if gathered:
             self._on_datagrams(gathered)
+
+
+def _stamped_unix_ns(ancillary: list[tuple[int, int, bytes]], otherwise_ns: int) -> int:
+    """When the kernel had a datagram, by its wall clock."""
+    for level, kind, data in ancillary:
+        if (level, kind) == (socket.SOL_SOCKET, _TIMESTAMP) and len(data) >= _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack_from(data)
+            return int(seconds) * _NS_PER_S + int(nanoseconds)
+    return otherwise_ns

@@ -92,7 +92,7 @@ def test_the_kernel_drops_what_the_filter_drops() -> None:
     async def story() -> None:
         inbox: asyncio.Queue[bytes] = asyncio.Queue()
         here = free_address()
-        link = await UdpLink.open(here, free_address(), lambda ds: [inbox.put_nowait(d) for d, _ in ds])
+        link = await UdpLink.open(here, free_address(), lambda ds: [inbox.put_nowait(d) for d, _, _ in ds])
         assert link.take_only([OURS], [KEY.id])
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             for payload in (b"noise", sealed(2, OTHER), sealed(2, OURS), bytes(INITIATION_BYTES)):
