@@ -23,7 +23,7 @@ from perception_server.point_ring import MIXED, ON_ROBOT, BlockView
 from perception_server.region import Region, ViewPoints, Window, collect
 from perception_server.scan_geometry import ScanPlacement
 from perception_server.sweep import latest_sweep
-from perception_server.view_encoding import encode_view
+from perception_server.view_encoding import encode_view, has_draft
 from perception_server.view_wish import Fidelity, ViewWish, view_wish
 
 _REJECTED = {
@@ -53,7 +53,11 @@ def answer(request: ViewRequest, history: HistorySnapshot, budget_bytes: int) ->
     def encode(fidelity: Fidelity) -> View:
         return encode_view(scene.header, wish, scene.points, fidelity)
 
-    return fit(encode, wish.finest, wish.worst, budget_bytes, request.request_id)
+    def draft(fidelity: Fidelity) -> View:
+        return encode_view(scene.header, wish, scene.points, fidelity, draft=True)
+
+    faster = draft if has_draft(wish) else None
+    return fit(encode, wish.finest, wish.worst, budget_bytes, request.request_id, faster)
 
 
 @dataclass(frozen=True, slots=True)

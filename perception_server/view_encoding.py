@@ -9,7 +9,8 @@ from messages.proto.straitlink.view_pb2 import VIEW_STATUS_RENDERED, View, ViewR
 from perception_server.height_map import render_height_map
 from perception_server.range_map import render_range_map
 from perception_server.region import ViewPoints
-from perception_server.view_codec import CodecId, decode_cloud, encode_cloud, encode_map, encode_octree
+from perception_server.view_codec import CodecId, encode_cloud, encode_map, encode_octree
+from perception_server.view_codec.cloud import unpack_lattice
 from perception_server.view_codec.map_header import unpack_header
 from perception_server.view_wish import Fidelity, ViewWish
 from perception_server.voxels import resample
@@ -22,8 +23,20 @@ _MAP_CODECS = {
 }
 
 
-def encode_view(header: View, wish: ViewWish, points: ViewPoints, fidelity: Fidelity) -> View:
-    """One view. Raises view_codec.EncodeError for more than a codec holds."""
+def has_draft(wish: ViewWish) -> bool:
+    """Whether a faster encoder makes somewhat larger views of this kind, to search a budget with."""
+    return wish.form == ViewRequest.FORMAT_OCTREE or (
+        wish.form == ViewRequest.FORMAT_CLOUD and wish.codec != ViewRequest.CODEC_ZLIB
+    )
+
+
+def encode_view(
+    header: View, wish: ViewWish, points: ViewPoints, fidelity: Fidelity, draft: bool = False
+) -> View:
+    """One view. Raises view_codec.EncodeError for more than a codec holds.
+
+    draft: clouds and octrees without context mixing, a fifth larger in a tenth of the time.
+    """
     view = View()
     view.CopyFrom(header)
     view.status = VIEW_STATUS_RENDERED
@@ -39,19 +52,19 @@ def encode_view(header: View, wish: ViewWish, points: ViewPoints, fidelity: Fide
         _put_map(view, render_range_map(points.points_m, projection), wish, fidelity)
     elif wish.form == ViewRequest.FORMAT_CLOUD:
         kept = resample(points.points_m, fidelity.resolution)
-        codec = CodecId.CLOUD_ZLIB if wish.codec == ViewRequest.CODEC_ZLIB else None
+        codec = CodecId.CLOUD_ZSTD if draft else None
+        if wish.codec == ViewRequest.CODEC_ZLIB:
+            codec = CodecId.CLOUD_ZLIB
         view.data = encode_cloud(kept, max_error_m=fidelity.max_error_m, codec=codec)
-        cloud = decode_cloud(view.data)
-        view.resolution_m, view.step_m, view.max_error_m = (
-            fidelity.resolution,
-            cloud.step_m,
-            cloud.max_error_m,
-        )
+        lattice, view.max_error_m = unpack_lattice(view.data)
+        view.resolution_m, view.step_m = fidelity.resolution, lattice.step_m
     else:
         view.resolution_m = fidelity.resolution
         view.max_error_m = fidelity.resolution * 3**0.5 / 2  # from a leaf's middle to its corner
         one_each = resample(points.points_m, fidelity.resolution)  # the coder would sort them all
-        view.data = encode_octree(one_each, leaf_m=fidelity.resolution)
+        view.data = encode_octree(
+            one_each, leaf_m=fidelity.resolution, codec=CodecId.OCTREE_ZSTD if draft else None
+        )
     return view
 
 

@@ -46,7 +46,7 @@ class CloudView:
 
 
 @dataclass(frozen=True, slots=True)
-class _Lattice:
+class Lattice:
     """Cells of a cube; the centre of cell 0, 0, 0 is the origin."""
 
     origin_m: NDArray[np.float64]  # (3,), each a float32
@@ -98,27 +98,34 @@ def decode_cloud(data: bytes) -> CloudView:
     codec = codec_of(data)
     if codec not in _CODECS.values():
         raise DecodeError(f"a view of codec {codec.name} is no cloud")
-    if len(data) < 1 + _LATTICE.size:
-        raise DecodeError(f"a cloud of {len(data)} bytes lacks its lattice of {_LATTICE.size} bytes")
-    *origin_m, step_m, max_error_m = _LATTICE.unpack_from(data, 1)
-    if not all(map(math.isfinite, (*origin_m, step_m, max_error_m))) or step_m < 0 or max_error_m < 0:
-        raise DecodeError(f"a lattice from {origin_m} m with steps of {step_m} m is unsound")
-    lattice = _Lattice(np.array(origin_m), step_m)
+    lattice, max_error_m = unpack_lattice(data)
     coded = data[1 + _LATTICE.size :]
     mixed = codec is CodecId.CLOUD_CONTEXT
     cells = _zlib_decoded(coded) if codec is CodecId.CLOUD_ZLIB else decode_cells(coded, mixed)
     with np.errstate(over="ignore"):
         points = lattice.points_of(cells)
     if not np.isfinite(points).all():
-        raise DecodeError(f"a lattice from {origin_m} m with steps of {step_m} m leaves float32")
-    return CloudView(points, step_m, max_error_m)
+        raise DecodeError(
+            f"a lattice from {lattice.origin_m} m with steps of {lattice.step_m} m leaves float32"
+        )
+    return CloudView(points, lattice.step_m, max_error_m)
 
 
-def _lattice(points: NDArray[np.float64], bits: int | None, max_error_m: float | None) -> _Lattice:
+def unpack_lattice(data: bytes) -> tuple[Lattice, float]:
+    """Where a message's cells lie, and its max_error_m, without reading the cells. Raises DecodeError."""
+    if len(data) < 1 + _LATTICE.size:
+        raise DecodeError(f"a cloud of {len(data)} bytes lacks its lattice of {_LATTICE.size} bytes")
+    *origin_m, step_m, max_error_m = _LATTICE.unpack_from(data, 1)
+    if not all(map(math.isfinite, (*origin_m, step_m, max_error_m))) or step_m < 0 or max_error_m < 0:
+        raise DecodeError(f"a lattice from {origin_m} m with steps of {step_m} m is unsound")
+    return Lattice(np.array(origin_m), step_m), max_error_m
+
+
+def _lattice(points: NDArray[np.float64], bits: int | None, max_error_m: float | None) -> Lattice:
     """The coarsest lattice that keeps the promise."""
     _check_wish(bits, max_error_m)
     if len(points) == 0:
-        return _Lattice(np.zeros(3), 0.0)
+        return Lattice(np.zeros(3), 0.0)
     origin_m = _rounded_down(points.min(axis=0))
     extent_m = float((points.max(axis=0) - origin_m).max())
     if bits is not None:
@@ -130,15 +137,15 @@ def _lattice(points: NDArray[np.float64], bits: int | None, max_error_m: float |
             raise EncodeError(
                 f"max_error_m = {max_error_m} over {extent_m:g} m needs more than {MAX_DEPTH} bits per axis"
             )
-    return _Lattice(origin_m, float(np.float32(step_m)) if step_m > _LEAST_STEP_M else 0.0)
+    return Lattice(origin_m, float(np.float32(step_m)) if step_m > _LEAST_STEP_M else 0.0)
 
 
-def _own_lattice(points: NDArray[np.float64], wished: _Lattice) -> _Lattice | None:
+def _own_lattice(points: NDArray[np.float64], wished: Lattice) -> Lattice | None:
     """The lattice of the points themselves, if it is coarser than the wished one and moves none of them."""
     step_m = own_step_m(points, wished.step_m) if wished.step_m else None
     if step_m is None:
         return None
-    own = _Lattice(wished.origin_m, float(np.float32(step_m)))
+    own = Lattice(wished.origin_m, float(np.float32(step_m)))
     return own if _farthest_m(points, own.points_of(own.cells_of(points))) <= slack_m(points) else None
 
 
