@@ -10,11 +10,12 @@ from functools import partial
 from netem_scripts.band import Profile
 from netem_scripts.event_loop import EventLoop
 from netem_scripts.link import Link
-from shaper.endpoint import Endpoint, pump
+from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event
 from shaper.incoming import Limits
 from shaper.link_estimator import PresetBands
+from shaper.pump import pump
 from shaper.traffic_class import TopicRule
 from straitlink.mission.mission import preset_bands
 

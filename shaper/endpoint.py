@@ -8,19 +8,10 @@ what has happened, and says when to come back. The same class runs live, in virt
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import asdict
 
-from shaper.datagram import (
-    append_hello,
-    append_known,
-    append_ledger,
-    append_padding,
-    append_receipt,
-    append_report,
-    decode_datagram,
-    write_header,
-)
+from shaper.control_frames import ControlFrames
+from shaper.datagram import append_hello, append_padding, decode_datagram, write_header
 from shaper.endpoint_settings import Counters, EndpointSettings
 from shaper.errors import DecodeError
 from shaper.events import Event, LinkState, PeerStarted, Wanted
@@ -46,14 +37,13 @@ from shaper.outgoing import Opportunity, Outgoing
 from shaper.pacer import NS_PER_S
 from shaper.path import Content, Path
 from shaper.path_mtu import PathMtu
+from shaper.peer_lives import PeerLives
 from shaper.promise import PROMISES_NS
 from shaper.queues import Payload, TopicQueue
 from shaper.settled import Settled
 from shaper.timers import Due, Timers
 
-_CONFIRMATIONS_PER_DATAGRAM = 32  # topics or messages at a time; more wait for the next datagram
 _ANY_TIME_NS = -(1 << 62)  # before any clock
-_RETIRED_EPOCHS = 8  # former lives of the peer whose late datagrams are recognised
 
 
 class Endpoint:
@@ -86,19 +76,14 @@ class Endpoint:
         self._outgoing = Outgoing(
             settings.rules, limits.max_topics, limits.max_message_bytes, settings.guaranteed, journal
         )
-        self._journal = journal
-        self._settled: Settled | None = None
-        self._vouched_epoch: int | None = None
         self._refused_here: tuple[str, ...] = ()
-        self._peer_memory = b"" if journal is None else journal.peer_memory
-        self._ledgers = LedgerExchange(epoch)
-        self._incoming: Incoming | None = None
-        self._former: Incoming | None = None  # the life before, should it turn out to be the present one
-        self._retired_epochs: deque[int] = deque(maxlen=_RETIRED_EPOCHS)
+        self._lives = PeerLives(self._make_incoming, journal, limits.max_topics)
+        self._incoming: Incoming | None = None  # the present life
         self._path = Path()
         self._told_bps = estimator.rate_bps
         self._events: deque[Event] = deque()
         self._timers = Timers(now_ns)
+        self._control = ControlFrames(epoch, self._outgoing, self._timers)
         self._outgoing.restore(now_ns)
 
     # What happens to an endpoint.
@@ -138,18 +123,12 @@ class Endpoint:
 
         memory: what it remembers of reliable messages; the same as before if nothing was forgotten.
         """
-        self._vouched_epoch = epoch
-        if self._incoming is None or (epoch, memory) != (self._incoming.epoch, self._peer_memory):
-            self._former = None  # the channel knows better which life is the present one
-            remembers = memory == self._peer_memory
-            if self._journal is not None and not remembers:
-                self._journal.meet(memory)
-            self._peer_memory = memory
-            if self._journal is not None and (self._settled is None or not remembers):
-                self._settled = Settled(self._journal, memory, self._settings.limits.max_topics)
-            if self._incoming is None and not remembers:
-                self._outgoing.on_peer_restarted()  # what was left of a former life of ours
-            self._meet_peer(epoch, now_ns, remembers=remembers)
+        if not self._lives.vouch(epoch, memory):
+            return
+        remembers = self._lives.remember(memory)
+        if self._incoming is None and not remembers:
+            self._outgoing.on_peer_restarted()  # what was left of a former life of ours
+        self._meet_peer(epoch, now_ns, remembers=remembers)
 
     def refuse(self, here: tuple[str, ...], there: tuple[str, ...]) -> None:
         """The two sides do not mean these topics alike: key expressions of the peer's, and of ours."""
@@ -270,7 +249,7 @@ class Endpoint:
     @property
     def peer_ledgers(self) -> LedgerExchange:
         """What the peer says of its own counters."""
-        return self._ledgers
+        return self._control.ledgers
 
     def silence_ns(self, now_ns: int) -> int:
         """For how long nothing has come from the peer; since the start if nothing ever has."""
@@ -332,21 +311,12 @@ class Endpoint:
         incoming = self._incoming
         contents: tuple[Content, ...] = ()
         if incoming is not None:
-            if incoming.has_unreported and (due.report or self._timers.may_piggyback(now_ns)):
-                append_report(out, incoming.take_report())
-                self._timers.reported_at_ns = now_ns
-            if incoming.has_to_confirm:
-                append_known(out, incoming.take_known(_CONFIRMATIONS_PER_DATAGRAM))
-            if incoming.has_receipts:
-                frame, content = incoming.take_receipts(_CONFIRMATIONS_PER_DATAGRAM)
-                append_receipt(out, frame)
-                contents = (content,)
+            contents = self._control.append(out, incoming, now_ns, report_due=due.report)
         if due.beat:
             self._timers.on_beat(now_ns, searching=incoming is None)
             self._events.append(self.link_state())
             if incoming is not None:
-                for ledger in self._ledgers.take(self._outgoing, incoming):
-                    append_ledger(out, ledger)
+                self._control.append_ledgers(out, incoming)
         if due.beat or due.probe or not self._path.reported:
             append_hello(out, HelloFrame(now_ns // 1000 * 1000 + self._unix_minus_monotonic_ns))
             return True, contents
@@ -418,10 +388,9 @@ class Endpoint:
         incoming = self._incoming
         if incoming is None or header.epoch != incoming.epoch:
             # Whoever has just started says hello in every datagram until it is reported on.
-            says_hello = (
-                any(isinstance(frame, HelloFrame) for frame in frames) and self._vouched_epoch is None
-            )
-            if incoming is not None and not (says_hello and self._may_be_alive(header.epoch, now_ns)):
+            says_hello = any(isinstance(frame, HelloFrame) for frame in frames)
+            may_begin = self._lives.may_begin(header.epoch, dark=self._timers.is_dark(now_ns))
+            if incoming is not None and not (says_hello and may_begin):
                 self.counters.stale_epoch += 1
                 return
             incoming = self._meet_peer(header.epoch, now_ns)
@@ -442,56 +411,36 @@ class Endpoint:
                     incoming.on_hello(frame, sent_us)
                 case PaddingFrame():
                     pass
-                case LedgerFrame(sent_half=True):
-                    self._ledgers.on_sent_half(frame, incoming)
-                case _ if frame.epoch != self._epoch:  # it speaks to our former self
-                    pass
-                case KnownFrame():
-                    self._outgoing.on_known(frame.topic_ids)
-                case ReceiptFrame():
-                    for topic_id, number, outcome in frame.receipts:
-                        self._outgoing.on_outcome(topic_id, number, outcome)
-                case LedgerFrame():
-                    self._ledgers.on_received_half(frame, self._outgoing)
+                case KnownFrame() | ReceiptFrame() | LedgerFrame():
+                    self._control.on_frame(frame, incoming)
         self._estimator.on_heard(header.number, sent_us, PROMISES_NS[header.promise], now_ns)
-
-    def _may_be_alive(self, epoch: int, now_ns: int) -> bool:
-        """Whether an epoch that is not the peer's may be the peer's all the same.
-
-        A former one is not, unless the present one has fallen silent: then it was a late or a forged
-        datagram by which we took the peer for restarted.
-        """
-        return epoch not in self._retired_epochs or self._timers.is_dark(now_ns)
 
     def _meet_peer(self, epoch: int, now_ns: int, *, remembers: bool = False) -> Incoming:
         """The peer's first datagram, or the first after it has started anew."""
         again = self._incoming is not None
-        former, self._former = self._former, self._incoming if self._vouched_epoch is None else None
-        if self._incoming is not None:
-            self._retired_epochs.append(self._incoming.epoch)
-            if epoch in self._retired_epochs:
-                self._retired_epochs.remove(epoch)
+        if again:
             self._outgoing.on_peer_restarted(remembers=remembers)
-            self._ledgers.on_peer_restarted()
+            self._control.ledgers.on_peer_restarted()
             self._path.on_peer_restarted()
             self._estimator.on_peer_restarted(now_ns)
-        if former is not None and former.epoch == epoch:
-            self._incoming = former
-        else:
-            settings = self._settings
-            self._incoming = Incoming(
-                epoch,
-                settings.limits,
-                settings.accept,
-                self.received_ledgers,
-                settings.encodings,
-                self._events.append,
-                self._settled,
-            )
-            self._incoming.refuse(self._refused_here)
+        self._incoming = incoming = self._lives.begin(epoch)
         self._timers.on_peer_met(now_ns)
         self._events.append(PeerStarted(epoch, again))
-        return self._incoming
+        return incoming
+
+    def _make_incoming(self, epoch: int, settled: Settled | None) -> Incoming:
+        settings = self._settings
+        incoming = Incoming(
+            epoch,
+            settings.limits,
+            settings.accept,
+            self.received_ledgers,
+            settings.encodings,
+            self._events.append,
+            settled,
+        )
+        incoming.refuse(self._refused_here)
+        return incoming
 
     def _on_report(self, frame: ReportFrame, sent_us: int, incoming: Incoming, now_ns: int) -> None:
         if frame.epoch != self._epoch:  # it speaks of our former self
@@ -501,17 +450,3 @@ class Endpoint:
             self._timers.report_at_once = False
             self._estimator.on_report(settled, self._path.rtt_ns, self._path.loss_ratio, now_ns)
             self._tell_estimate()
-
-
-def pump(
-    endpoint: Endpoint,
-    now_ns: int,
-    send: Callable[[bytes], None],
-    handle: Callable[[Event], None],
-) -> int:
-    """Send what may leave, hand over what has happened; returns when to call `on_timer` and again."""
-    while (datagram := endpoint.next_datagram(now_ns)) is not None:
-        send(datagram)
-    while (event := endpoint.next_event()) is not None:
-        handle(event)
-    return endpoint.wakeup_at_ns(now_ns)

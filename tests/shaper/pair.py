@@ -10,12 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from shaper.datagram import decode_datagram
-from shaper.endpoint import Endpoint, pump
+from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event, LinkState, PeerStarted, Receipt
 from shaper.frames import Frame, Header
 from shaper.incoming import Limits
 from shaper.link_estimator import LinkEstimator, PresetBand, PresetBands
+from shaper.pump import pump
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
 from shaper.wire_type import Encodings
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from messages.attachment import Stamp
 from shaper.datagram import decode_datagram
-from shaper.endpoint import Endpoint, pump
+from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event
 from shaper.frames import (
@@ -28,6 +28,7 @@ from shaper.frames import (
 )
 from shaper.incoming import Limits
 from shaper.link_estimator import PresetBands
+from shaper.pump import pump
 from shaper.shared_state import encode_entries
 from tests.shaper.pair import FAST, HOUR, MS, RULES, THIN, UNIX_NS, Pair, S, Side
 from tests.shaper.wire import FRAMES, encode
