@@ -7,7 +7,11 @@ references 0.2 to 1 s old, and a walking one); a tenth more or less of any of th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 from messages.delta.lanes import Lane, LaneKind
+from messages.delta.leaning import Leaning
 from messages.delta.sample import HISTORY, References
 from messages.entropy import RangeDecoder, RangeEncoder, Spread
 
@@ -26,11 +30,18 @@ class Expectation:
     the next ones. The correction is by how much, over the last few lanes.
     """
 
-    def __init__(self, lanes: tuple[Lane, ...], known: References) -> None:
+    def __init__(
+        self,
+        lanes: tuple[Lane, ...],
+        known: References,
+        leanings: Mapping[int, Leaning] = MappingProxyType({}),
+    ) -> None:
         self._lanes = lanes
         self._known = known
         self._before = known.reference.lanes
         self._off = self._meant = 128
+        self._leanings = leanings
+        self._moved = [0] * len(lanes)
 
     def encode(self, coder: RangeEncoder, values: list[int]) -> None:
         """Code all lanes of a message."""
@@ -50,7 +61,8 @@ class Expectation:
                     residual = (residual - low) % lane.count + low
                 if not Spread(scale, low, high).encode(coder, residual):
                     coder.encode_uniform(value, lane.count)
-                self._learn(lane, residual, scale, is_calm)
+                self._learn(at, residual, scale, is_calm)
+                self._moved[at] = value - self._before[at]
 
     def decode(self, coder: RangeDecoder) -> list[int]:
         """Decode all lanes; each is within its count, whatever the bits."""
@@ -74,7 +86,8 @@ class Expectation:
                 else:
                     value = (expected + residual) % lane.count
                 values.append(value)
-                self._learn(lane, residual, scale, is_calm)
+                self._learn(at, residual, scale, is_calm)
+                self._moved[at] = value - self._before[at]
         return values
 
     def _expected(self, at: int, lane: Lane) -> tuple[int, int, bool]:
@@ -82,6 +95,10 @@ class Expectation:
         if lane.kind is LaneKind.CIRCLE:
             return self._expected_on_circle(at, lane)
         before, history, distance = self._before[at], self._known.history, self._known.distance
+        leaning = self._leanings.get(at)
+        if leaning is not None:
+            move, scale = leaning.foretell(self._moved)
+            return max(0, min(lane.count - 1, before + move)), self._corrected(scale), False
         if not history:
             return before, self._corrected(_ALONE_SCALE), False
         least = greatest = last = back = before
@@ -125,8 +142,8 @@ class Expectation:
         scale = min(scale, _MAX_SCALE)
         return max(1, min(_MAX_SCALE, scale * self._off // self._meant))
 
-    def _learn(self, lane: Lane, residual: int, scale: int, is_calm: bool) -> None:
-        if lane.kind is LaneKind.CIRCLE or (is_calm and residual == 0):
+    def _learn(self, at: int, residual: int, scale: int, is_calm: bool) -> None:
+        if self._lanes[at].kind is LaneKind.CIRCLE or (is_calm and residual == 0):
             return
         self._off = self._off * 3 // 4 + 16 * min(abs(residual), _MAX_SCALE) + 1
         self._meant = self._meant * 3 // 4 + scale * 17 // 32 + 1

@@ -10,7 +10,8 @@ from google.protobuf.message import Message as ProtobufMessage
 from messages.dccl import Codec, DecodeError
 from messages.delta.course import Expectation
 from messages.delta.lanes import lanes_of
-from messages.delta.layout import CHECK_BITS, check_of, decode_distance, decode_held
+from messages.delta.layout import CHECK_BITS, check_of, decode_distance, decode_held, decode_leans
+from messages.delta.leaning import leanings
 from messages.delta.sample import WINDOW, References, Sample, make_sample
 from messages.entropy import RangeDecoder
 
@@ -52,13 +53,15 @@ class DeltaDecoder(Generic[M]):
             raise DecodeError(f"{len(data)} bytes are more than any {self._codec.schema.name}")
         coder = RangeDecoder(int.from_bytes(data, "big"), 8 * len(data))
         distance = decode_distance(coder)
-        known = None
+        known, leans = None, False
         if distance == 0:
             lanes = self._lanes.lanes
             values = [min(lane.count - 1, coder.decode_uniform(lane.count)) for lane in lanes]
         else:
             known = self._references(coder, number, distance)
-            values = Expectation(self._lanes.lanes, known).decode(coder)
+            leans = decode_leans(coder, known.reference.leans)
+            found = leanings(self._lanes.lanes, known) if leans else {}
+            values = Expectation(self._lanes.lanes, known, found).decode(coder)
         mask = (1 << self._check_bits) - 1
         check = check_of(self._codec.schema_hash, values) & mask
         if coder.decode_uniform(mask + 1) != check or not coder.is_finished(len(data)):
@@ -70,7 +73,7 @@ class DeltaDecoder(Generic[M]):
             message = self._lanes.scatter(values, now_ns)
         except (ValueError, OverflowError) as error:
             raise DecodeError(f"{self._codec.schema.name} {number}: {error}") from error
-        self._remember(number, make_sample(number, values, known))
+        self._remember(number, make_sample(number, values, known, leans))
         self.counters.decoded += 1
         return message  # type: ignore[return-value]
 

@@ -11,7 +11,8 @@ from messages.dccl.errors import EncodeError
 from messages.dccl.limits import Deviations
 from messages.delta.course import Expectation
 from messages.delta.lanes import lanes_of
-from messages.delta.layout import CHECK_BITS, check_of, encode_distance, encode_held
+from messages.delta.layout import CHECK_BITS, check_of, encode_distance, encode_held, encode_leans
+from messages.delta.leaning import Leaning, leanings
 from messages.delta.sample import HISTORY, MAX_DISTANCE, WINDOW, References, Sample, make_sample
 from messages.entropy import RangeEncoder
 
@@ -53,13 +54,13 @@ class DeltaEncoder(Generic[M]):
         deviations = Deviations([])
         values = self._lanes.gather(message, deviations)
         known = self._references(number)
-        data = self._coded(values, known)
+        data, leans = self._shortest(values, known)
         if known is not None and len(data) > self.max_size:
-            known, data = None, self._coded(values, None)
+            known, leans, data = None, False, self._coded(values, None, None)
         if known is None:
             self._alone = number
             self._refresh = number if self._held else self._refresh
-        self._remember(number, make_sample(number, values, known))
+        self._remember(number, make_sample(number, values, known, leans))
         return Encoded(data, tuple(deviations.found))
 
     def on_acknowledged(self, number: int) -> None:
@@ -83,7 +84,18 @@ class DeltaEncoder(Generic[M]):
             size *= lane.count
         return (size.bit_length() + 8 + self._check_bits + 7) // 8
 
-    def _coded(self, values: list[int], known: References | None) -> bytes:
+    def _shortest(self, values: list[int], known: References | None) -> tuple[bytes, bool]:
+        """With lanes leaning on each other or without, whichever is shorter; and whether they lean."""
+        alone = self._coded(values, known, None)
+        found = leanings(self._lanes.lanes, known) if known is not None else {}
+        if not found:
+            return alone, False
+        leaning = self._coded(values, known, found)
+        return (leaning, True) if len(leaning) < len(alone) else (alone, False)
+
+    def _coded(
+        self, values: list[int], known: References | None, leaning: dict[int, Leaning] | None
+    ) -> bytes:
         coder = RangeEncoder()
         if known is None:
             encode_distance(coder, 0)
@@ -93,7 +105,8 @@ class DeltaEncoder(Generic[M]):
             encode_distance(coder, known.distance)
             gaps = {gap for gap, _ in known.history}
             encode_held(coder, [gap in gaps for gap in range(1, HISTORY + 1)])
-            Expectation(self._lanes.lanes, known).encode(coder, values)
+            encode_leans(coder, leaning is not None, known.reference.leans)
+            Expectation(self._lanes.lanes, known, leaning or {}).encode(coder, values)
         mask = (1 << self._check_bits) - 1
         coder.encode_uniform(check_of(self._codec.schema_hash, values) & mask, mask + 1)
         return coder.finish_bytes()

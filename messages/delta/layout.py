@@ -4,8 +4,9 @@ One range code, its first digit in the highest bit of the first byte:
 
 1. the distance to the reference, 0 for none;
 2. with a reference, for each of the HISTORY numbers before it, nearest first, whether it is used;
-3. the lanes, in order: by their expectation with a reference, else each as one of its count;
-4. the low CHECK_BITS of a CRC-32 of the schema's hash and the lanes.
+3. with a reference, whether lanes lean on each other;
+4. the lanes, in order: by their expectation with a reference, else each as one of its count;
+5. the low CHECK_BITS of a CRC-32 of the schema's hash and the lanes.
 
 The code ends with the fewest bytes after which zeros may be read. Bytes that an encoder would not have
 chosen for what they decode to are refused, so that the slack of the last byte checks as well.
@@ -27,6 +28,8 @@ _DISTANCE_SHARES = [_NONE_SHARE, *((1 << 16) // (d + 3) for d in range(1, MAX_DI
 _DISTANCE_BELOW = [0, *accumulate(_DISTANCE_SHARES[:-1])]
 _DISTANCE_TOTAL = sum(_DISTANCE_SHARES)
 _HELD_TOTAL = 16  # the sample before one that is used is so in 15 of 16; before one that is not, in 8
+
+_SAME_TOTAL = 16  # lanes lean or do not as those of the reference, in 15 of 16
 
 
 def encode_distance(coder: RangeEncoder, distance: int) -> None:
@@ -59,6 +62,18 @@ def decode_held(coder: RangeDecoder) -> list[bool]:
         held.append(is_held)
         held_share = _HELD_TOTAL - 1 if is_held else _HELD_TOTAL // 2
     return held
+
+
+def encode_leans(coder: RangeEncoder, leans: bool, leant: bool) -> None:
+    """Whether lanes lean on each other; leant: whether those of the reference did."""
+    coder.encode(*((0, _SAME_TOTAL - 1) if leans == leant else (_SAME_TOTAL - 1, 1)), _SAME_TOTAL)
+
+
+def decode_leans(coder: RangeDecoder, leant: bool) -> bool:
+    """Undo `encode_leans`."""
+    is_same = coder.share(_SAME_TOTAL) < _SAME_TOTAL - 1
+    coder.take(*((0, _SAME_TOTAL - 1) if is_same else (_SAME_TOTAL - 1, 1)))
+    return leant if is_same else not leant
 
 
 def check_of(schema_hash: int, lanes: list[int]) -> int:

@@ -16,11 +16,13 @@ class Sample:
     """One message. calm: per lane, how many references in a row had the same value, at most MAX_CALM.
 
     root: the number of the message without reference from which it descends; of several, the oldest.
+    leans: whether its lanes were foretold from each other.
     """
 
     lanes: tuple[int, ...]
     calm: tuple[int, ...]
     root: int
+    leans: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +37,14 @@ class References:
     history: tuple[tuple[int, Sample], ...]
 
 
-def make_sample(number: int, lanes: Sequence[int], known: References | None) -> Sample:
+def make_sample(number: int, lanes: Sequence[int], known: References | None, leans: bool) -> Sample:
     """A message's sample, with what its reference tells of standing still."""
     if known is None:
-        return Sample(tuple(lanes), (0,) * len(lanes), number)
+        return Sample(tuple(lanes), (0,) * len(lanes), number, leans=False)
     reference = known.reference
     root = min([reference.root, *(sample.root for _, sample in known.history)])
     calm = tuple(
         min(MAX_CALM, calm + 1) if now == then else 0
         for now, then, calm in zip(lanes, reference.lanes, reference.calm, strict=True)
     )
-    return Sample(tuple(lanes), calm, root)
+    return Sample(tuple(lanes), calm, root, leans)

@@ -31,7 +31,7 @@ class DeltaEncoding(BoundedEncoding):
         publish: str = "",
     ) -> None:
         super().__init__(message_type, maps, out_of_range=out_of_range, assume=assume, publish=publish)
-        self.description += " delta 1"
+        self.description += " delta 2"
         DeltaEncoder(self.codec)  # a schema that has no differences is found here
 
     def writer(self) -> DeltaWriter:
