@@ -81,7 +81,7 @@ def look(wish: ViewWish, history: HistorySnapshot) -> Scene:
     region = Region(
         view_from_world,
         *_box(wish),
-        wish.half_planes,
+        _half_planes(wish),
         *wish.range_m,
         _REJECTED[wish.source],
     )
@@ -156,6 +156,13 @@ def _box(wish: ViewWish) -> tuple[tuple[float, float, float], tuple[float, float
     margin = 2 * wish.worst.resolution
     (x0, y0, z0), (x1, y1, z1) = wish.low_m, wish.high_m
     return (x0 - margin, y0 - margin, z0), (x1 + margin, y1 + margin, z1)
+
+
+def _half_planes(wish: ViewWish) -> FloatArray:
+    """(P, 4): the wish's own, and of a range map what its pixels cannot see."""
+    if wish.form != ViewRequest.FORMAT_RANGE_MAP:
+        return wish.half_planes
+    return np.concatenate([wish.projection.planes(), wish.half_planes])
 
 
 def _without_picture(request: ViewRequest, status: ViewStatus.ValueType, error: Exception) -> View:

@@ -51,6 +51,19 @@ class Projection:
             return np.stack([np.ones_like(y), y, z], axis=-1)
         return np.stack([np.cos(z) * np.cos(y), np.cos(z) * np.sin(y), np.sin(z)], axis=-1)
 
+    def planes(self) -> FloatArray:
+        """(P, 4): half-planes (n . p + d >= 0) outside which no pixel looks, to pass over points by.
+
+        Of a spherical map its azimuths alone: elevations bound cones.
+        """
+        across, up = self.horizontal_fov_rad / 2, self.vertical_fov_rad / 2
+        if across > np.pi / 2:
+            return np.zeros((0, 4))
+        sides = [[np.sin(across), side * np.cos(across), 0.0, 0.0] for side in (-1.0, 1.0)]
+        if not self.spherical:
+            sides += [[np.sin(up), 0.0, side * np.cos(up), 0.0] for side in (-1.0, 1.0)]
+        return np.array(sides)
+
 
 def render_range_map(points_m: NDArray[np.float32], projection: Projection) -> NDArray[np.float32]:
     """(rows, columns) metres, NaN for holes. points_m: (N, 3) in the view's frame, any."""
