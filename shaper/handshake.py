@@ -1,19 +1,21 @@
 """The two datagrams by which the ends of a link recognise each other, and what they tell in them.
 
-    initiation  0x03 · key identifier 4 · Noise message with a hello: 81 bytes
+    initiation  0x03 · key identifier 4 · Noise message with a hello · check 8: 89 bytes
     answer      0x04 · the initiator's session number 2 · Noise message with a hello: 79 bytes
 
-Each names the side that started in its prologue, so that a reflected initiation is no initiation.
+Each names the side that started in its prologue, so that a reflected initiation is no initiation. The
+check costs two microseconds: whoever does not hold the key cannot make us do more than that.
 """
 
 from __future__ import annotations
 
+import hmac
 import struct
 from dataclasses import dataclass
 from typing import Literal
 
 from shaper.errors import DecodeError
-from shaper.link_key import ID_BYTES
+from shaper.link_key import ID_BYTES, LinkKey
 from shaper.noise import OVERHEAD_BYTES
 
 Side = Literal["robot", "operator"]
@@ -24,7 +26,8 @@ MEMORY_BYTES = 8
 TABLE_HASH_BYTES = 8
 
 _HELLO = struct.Struct(f"<HHq{MEMORY_BYTES}s{TABLE_HASH_BYTES}s")
-INITIATION_BYTES = 1 + ID_BYTES + OVERHEAD_BYTES + _HELLO.size
+_CHECK_BYTES = 8
+INITIATION_BYTES = 1 + ID_BYTES + OVERHEAD_BYTES + _HELLO.size + _CHECK_BYTES
 ANSWER_BYTES = 1 + SESSION_ID_BYTES + OVERHEAD_BYTES + _HELLO.size
 
 
@@ -58,6 +61,25 @@ def prologue(initiator: Side) -> bytes:
 def other_side(side: Side) -> Side:
     """Who is at the other end."""
     return "operator" if side == "robot" else "robot"
+
+
+def check_key(key: LinkKey) -> bytes:
+    """What initiations under a link key are checked with: not the key itself, as that is Noise's."""
+    return hmac.digest(key.secret, b"straitlink link 1, check of an initiation", "sha256")
+
+
+def encode_initiation(key: LinkKey, check: bytes, message: bytes) -> bytes:
+    """The datagram around a Noise message. check: of `check_key`."""
+    body = bytes([INITIATION]) + key.id + message
+    return body + hmac.digest(check, body, "sha256")[:_CHECK_BYTES]
+
+
+def decode_initiation(data: bytes, check: bytes) -> bytes:
+    """The Noise message in a datagram. Raises DecodeError unless a holder of the key has made it."""
+    body = data[:-_CHECK_BYTES]
+    if not hmac.compare_digest(hmac.digest(check, body, "sha256")[:_CHECK_BYTES], data[-_CHECK_BYTES:]):
+        raise DecodeError("an initiation is not from a holder of the link key")
+    return body[1 + ID_BYTES :]
 
 
 def encode_hello(hello: Hello) -> bytes:

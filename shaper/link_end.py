@@ -49,6 +49,7 @@ class LinkEnd:
         self.watch = watch
         self._events: deque[Event] = deque()
         self._control: deque[bytes] = deque(maxlen=_MAX_CONTROL)  # of a flood of questions some get no answer
+        self._copy: tuple[bytes, Address] | None = None  # of what left last, for where the peer may be now
         self._peer: Identity | None = None
 
     # What happens to it; messages are offered to the endpoint itself.
@@ -75,6 +76,10 @@ class LinkEnd:
 
     def next_datagram(self, now_ns: int) -> tuple[bytes, Address] | None:
         """The next datagram that may leave now, and where to; None if there is none."""
+        if self._copy is not None:
+            copy, self._copy = self._copy, None
+            self.endpoint.on_channel_sent(len(copy[0]), now_ns)
+            return copy
         self._look_for_operator(now_ns)
         handshake = self.channel.next_handshake(now_ns)
         if handshake is not None:
@@ -90,7 +95,10 @@ class LinkEnd:
         datagram = self.endpoint.next_datagram(now_ns)
         if datagram is None:
             return None
-        return self.channel.seal(datagram, self.endpoint.packet_number), self.channel.peer_address
+        sealed = self.channel.seal(datagram, self.endpoint.packet_number)
+        elsewhere = self.channel.copy_to(len(sealed))
+        self._copy = None if elsewhere is None else (sealed, elsewhere)
+        return sealed, self.channel.peer_address
 
     def next_event(self) -> Event | None:
         """The oldest event not handed over yet, or None."""

@@ -42,6 +42,10 @@ class OpenChannel:
         """An open channel has nothing to say of its own."""
         raise AssertionError("an open channel carries no control datagrams")
 
+    def copy_to(self, datagram_bytes: int) -> Address | None:
+        """None: the peer never moves."""
+        return None
+
     def next_handshake(self, now_ns: int) -> tuple[bytes, Address] | None:
         """None: nobody proves anything."""
         return None

@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from shaper.channel_control import ANSWERED, CHALLENGE, CHALLENGE_BYTES
+from shaper.channel_notices import ChannelNotices
 from shaper.errors import DecodeError
 from shaper.handshake import (
     ANSWER,
@@ -21,18 +23,22 @@ from shaper.handshake import (
     Hello,
     Identity,
     Side,
+    check_key,
     decode_hello,
+    decode_initiation,
     encode_hello,
+    encode_initiation,
     other_side,
     prologue,
 )
 from shaper.link_key import ID_BYTES, LinkKey
 from shaper.noise import KEY_BYTES, Initiator, Responder
-from shaper.notices import Notice, NoticeKind
+from shaper.notices import Notice
 from shaper.rate_limit import RateLimit
 from shaper.session import CLEAR_BYTES, CONTROL, MAX_FORGED, MAX_SEALED, PROTECTED, TAG_BYTES, Session
+from shaper.whereabouts import Address, Whereabouts
 
-Address = tuple[str, int]
+__all__ = ["Address", "ChannelCounters", "Control", "SecureChannel"]
 
 _NS_PER_S = 1_000_000_000
 REKEY_AFTER_NS = 600 * _NS_PER_S
@@ -49,9 +55,6 @@ _UNDER_WAY_NS = 60 * _NS_PER_S
 _MAX_SESSIONS = 3  # in use, and before it
 _OVERLAP_NS = 60 * _NS_PER_S  # for which former keys still open what is late
 _REMEMBERED_INITIATIONS = 512
-_NO_ANSWER_NS, _NO_ANSWER_AGAIN_NS = 5 * _NS_PER_S, 60 * _NS_PER_S
-_NOTICE_AGAIN_NS = 10 * _NS_PER_S
-_CLOCK_TOLERANCE_NS = 2 * _NS_PER_S
 
 
 @dataclass(slots=True)
@@ -79,6 +82,7 @@ class _Asked:
 
     initiator: Initiator
     asked_ns: int
+    where: Address
 
 
 class SecureChannel:
@@ -104,17 +108,16 @@ class SecureChannel:
     ) -> None:
         assert keys, "a secure channel needs a key"
         self.counters = ChannelCounters()
-        self.peer_address = peer
         self.last_heard_ns: int | None = None
-        self.notices: deque[Notice] = deque(maxlen=64)
+        self._notices = ChannelNotices(now_ns)
         self._side = side
         self._keys = {key.id: key for key in keys}
+        self._checks = {key.id: check_key(key) for key in keys}
         self._own_key = keys[0]
         self._identity = identity
-        self._configured_peer = peer
+        self._whereabouts = Whereabouts(peer, random_bytes)
         self._random = random_bytes
         self._unix_minus_monotonic_ns = unix_ns - now_ns
-        self._started_ns = now_ns
         self._asked: dict[int, _Asked] = {}  # by our session number
         self._answered: dict[int, Session] = {}  # until the peer proves that it has our answer
         self._sessions: list[Session] = []  # oldest first
@@ -125,13 +128,16 @@ class SecureChannel:
         self._attempts = 0
         self._initiate_at_ns = now_ns
         self._look_at_ns = now_ns  # not before this; whatever is heard only puts it off
-        self._complain_at_ns = now_ns + _NO_ANSWER_NS
-        self._noticed: dict[NoticeKind, int] = {}
         # One limit for the peer's address, one for everybody else: neither can use up the other's.
         self._read_limits = (RateLimit(200, 50, now_ns), RateLimit(200, 50, now_ns))
         self._answer_limits = (RateLimit(10, 10, now_ns), RateLimit(5, 10, now_ns))
 
     # What drivers and the endpoint look at.
+
+    @property
+    def peer_address(self) -> Address:
+        """Where datagrams go."""
+        return self._whereabouts.address
 
     @property
     def ready(self) -> bool:
@@ -156,6 +162,11 @@ class SecureChannel:
         """The wall clock may have been stepped."""
         self._unix_minus_monotonic_ns = unix_ns - now_ns
 
+    @property
+    def notices(self) -> deque[Notice]:
+        """What people should know and have not been told."""
+        return self._notices.waiting
+
     # Sending.
 
     def seal(self, datagram: bytes, number: int) -> bytes:
@@ -168,8 +179,12 @@ class SecureChannel:
         assert self._current is not None, "a channel that is not ready seals nothing"
         return self._current.seal_control(payload)
 
+    def copy_to(self, datagram_bytes: int) -> Address | None:
+        """Where the peer seems to have moved, if a copy of what leaves now may go there too."""
+        return self._whereabouts.copy_to(datagram_bytes)
+
     def next_handshake(self, now_ns: int) -> tuple[bytes, Address] | None:
-        """A handshake datagram that has to leave now, and where to; None if there is none."""
+        """A datagram of the channel's own that has to leave now, and where to; None if there is none."""
         if now_ns >= self._look_at_ns:
             self._look_at_ns = self._initiate_when_ns()
             if now_ns >= self._look_at_ns:
@@ -185,8 +200,8 @@ class SecureChannel:
         session = self._current
         if session is None:
             return self._initiate_at_ns
-        wait_ns = REKEY_AFTER_NS if session.initiated else REKEY_AFTER_NS + _REKEY_PATIENCE_NS
-        due_ns = session.made_ns + wait_ns
+        patience_ns = _REKEY_PATIENCE_NS if session.answered_to else 0
+        due_ns = session.made_ns + REKEY_AFTER_NS + patience_ns
         if session.sealed >= _REKEY_AFTER_SEALED or session.forged >= MAX_FORGED:
             due_ns = session.made_ns
         if self.last_heard_ns is not None:
@@ -199,17 +214,19 @@ class SecureChannel:
         message = initiator.write(encode_hello(self._hello(session_id, now_ns)))
         if len(self._asked) >= _MAX_ASKED:
             self._asked.pop(next(iter(self._asked)))
-        self._asked[session_id] = _Asked(initiator, now_ns)
         # It may have moved, or we may have believed that it has.
-        where = self._configured_peer if self._attempts % 2 else self.peer_address
-        self._to_send.append((bytes([INITIATION]) + self._own_key.id + message, where))
+        where = self._whereabouts.configured if self._attempts % 2 else self.peer_address
+        self._asked[session_id] = _Asked(initiator, now_ns, where)
+        key = self._own_key
+        self._to_send.append((encode_initiation(key, self._checks[key.id], message), where))
         self._attempts += 1
         if self._sessions:
             retry_ns = _SILENT_RETRY_NS
         else:
             retry_ns = _FIRST_RETRY_NS if self._attempts <= _FIRST_RETRIES else _RETRY_NS
         self._initiate_at_ns = now_ns + retry_ns
-        self._complain_without_answer(now_ns)
+        if not self._sessions:
+            self._notices.without_answer(self._whereabouts.configured, self._own_key.name, now_ns)
 
     def _hello(self, session_id: int, now_ns: int) -> Hello:
         return Hello(session_id, now_ns + self._unix_minus_monotonic_ns, self._identity)
@@ -253,24 +270,47 @@ class SecureChannel:
             self._establish(session, session.made_ns, now_ns)
         elif not proven:
             self._choose_session()
-        self._heard(session, source if newest else None, now_ns)
+        if self._heard(session, now_ns):
+            if not proven and source == session.answered_to:
+                self._move(source, now_ns)  # it has our answer, and speaks from where we sent it
+            elif newest:
+                self._follow(source, len(data), now_ns)
+            if kind == CONTROL and body[:1] in (CHALLENGE, ANSWERED):
+                self._on_trial(body, source, now_ns)
+                return None
         return Control(body) if kind == CONTROL else body
 
-    def _heard(self, session: Session, source: Address | None, now_ns: int) -> None:
-        """The peer has sealed something. source: where it is, if nothing newer has told."""
+    def _heard(self, session: Session, now_ns: int) -> bool:
+        """The peer has sealed something; whether it is a sign of its present life."""
         current = self._current
-        if (
-            current is None or session.hello.identity != current.hello.identity
-        ):  # a former life's: no sign of the present one
-            return
+        if current is None or session.hello.identity != current.hello.identity:
+            return False
         self.last_heard_ns = now_ns
-        if source is not None and source != self.peer_address:
-            old, self.peer_address = self.peer_address, source
-            text = f"the other side is at {_show(source)} now (before: {_show(old)})"
-            self._notice(NoticeKind.PEER_MOVED, text, now_ns)
         if len(self._sessions) > 1:
             idle = [s for s in self._sessions if s is not current and now_ns - s.used_ns > _OVERLAP_NS]
             self._forget(idle)
+        return True
+
+    def _follow(self, source: Address, datagram_bytes: int, now_ns: int) -> None:
+        """Nothing newer than this datagram has come, and it came from there."""
+        token = self._whereabouts.on_heard(source, datagram_bytes, now_ns)
+        if token is not None:
+            self._to_send.append((self.seal_control(CHALLENGE + token), source))
+
+    def _on_trial(self, body: bytes, source: Address, now_ns: int) -> None:
+        """The peer's channel asks whether we are where we seem to be, or answers the same."""
+        old = self.peer_address
+        if len(body) != CHALLENGE_BYTES:
+            raise DecodeError(f"a challenge of {len(body)} bytes: expected {CHALLENGE_BYTES}")
+        if body[:1] == CHALLENGE:
+            self._to_send.append((self.seal_control(ANSWERED + body[1:]), source))
+        elif self._whereabouts.on_answer(source, body[1:]):
+            self._notices.moved(old, source, now_ns)
+
+    def _move(self, source: Address, now_ns: int) -> None:
+        old = self.peer_address
+        if self._whereabouts.move(source):
+            self._notices.moved(old, source, now_ns)
 
     def _choose_session(self) -> None:
         """Seal with the newest session under which the peer has sealed something too.
@@ -288,25 +328,26 @@ class SecureChannel:
             del self._by_id[session.own_id]
 
     def _on_initiation(self, data: bytes, source: Address, now_ns: int) -> None:
-        known = 0 if source in (self.peer_address, self._configured_peer) else 1
+        known = 0 if source in (self.peer_address, self._whereabouts.configured) else 1
         key = self._keys.get(data[1 : 1 + ID_BYTES])
         if key is None:
             self.counters.failed_handshakes += 1
-            return self._complain_of_key_id(data[1 : 1 + ID_BYTES], source, now_ns)
-        message = data[1 + ID_BYTES :]
-        ephemeral = message[:KEY_BYTES]
-        if ephemeral in self._seen_ephemerals:
-            self.counters.replayed += 1
-            return
-        if not self._read_limits[known].allows(now_ns):
-            self.counters.refused_handshakes += 1
-            return
-        responder = Responder(key.secret, prologue(other_side(self._side)))
+            ours = [key.name for key in self._keys.values()]
+            return self._notices.unknown_key(data[1 : 1 + ID_BYTES], ours, source, now_ns)
         try:
+            message = decode_initiation(data, self._checks[key.id])
+            ephemeral = message[:KEY_BYTES]
+            if ephemeral in self._seen_ephemerals:
+                self.counters.replayed += 1
+                return
+            if not self._read_limits[known].allows(now_ns):
+                self.counters.refused_handshakes += 1
+                return
+            responder = Responder(key.secret, prologue(other_side(self._side)))
             hello = decode_hello(responder.read(message))
         except DecodeError:
             self.counters.failed_handshakes += 1
-            return self._complain_of_key(key, source, now_ns)
+            return self._notices.wrong_key(key, self._side, source, now_ns)
         if not self._answer_limits[known].allows(now_ns):
             self.counters.refused_handshakes += 1
             return
@@ -324,7 +365,7 @@ class SecureChannel:
         if len(self._answered) >= _MAX_ANSWERED:
             oldest = next(iter(self._answered))
             del self._answered[oldest], self._by_id[oldest]
-        session = Session(session_id, hello, keys, key_name, initiated=False, now_ns=now_ns)
+        session = Session(session_id, hello, keys, key_name, answered_to=source, now_ns=now_ns)
         self._answered[session_id] = self._by_id[session_id] = session
         self._to_send.append((bytes([ANSWER]) + hello.session_id.to_bytes(2, "little") + message, source))
 
@@ -336,12 +377,14 @@ class SecureChannel:
             return
         payload, keys = asked.initiator.read(data[3:])
         del self._asked[session_id]
-        session = Session(
-            session_id, decode_hello(payload), keys, self._own_key.name, initiated=True, now_ns=now_ns
-        )
+        session = Session(session_id, decode_hello(payload), keys, self._own_key.name, now_ns=now_ns)
         self._by_id[session_id] = session
         self._establish(session, asked.asked_ns, now_ns)
-        self._heard(session, source, now_ns)
+        if self._heard(session, now_ns):
+            if source == asked.where:
+                self._move(source, now_ns)
+            else:
+                self._follow(source, len(data), now_ns)
         self._to_send.append((session.seal_control(b""), source))  # by which it knows us too
 
     def _establish(self, session: Session, told_from_ns: int, now_ns: int) -> None:
@@ -358,76 +401,12 @@ class SecureChannel:
             self._initiate_at_ns = now_ns + _FIRST_RETRY_NS
         self._look_at_ns = now_ns
         self.counters.handshakes += 1
-        first = self.counters.handshakes == 1
-        if first:
-            self._notice(NoticeKind.SECURED, f"the link is secured with key {session.key_name}", now_ns)
-        self._compare_clocks(session.hello, told_from_ns, now_ns)
+        if self.counters.handshakes == 1:
+            self._notices.secured(session.key_name, now_ns)
+        unix_ns = now_ns + self._unix_minus_monotonic_ns
+        self._notices.compare_clocks(session.hello.unix_ns, unix_ns, told_from_ns, now_ns)
 
     def _remember_ephemeral(self, ephemeral: bytes) -> None:
         if len(self._seen_ephemerals) >= _REMEMBERED_INITIATIONS:
             del self._seen_ephemerals[next(iter(self._seen_ephemerals))]
         self._seen_ephemerals[ephemeral] = None
-
-    # What a person should know.
-
-    def _compare_clocks(self, hello: Hello, from_ns: int, now_ns: int) -> None:
-        """The peer read its clock at some time between the two instants, or one transit before."""
-        ours_ns = now_ns + self._unix_minus_monotonic_ns - (now_ns - from_ns) // 2
-        ahead_ns = hello.unix_ns - ours_ns
-        if abs(ahead_ns) <= _CLOCK_TOLERANCE_NS + (now_ns - from_ns):
-            return
-        how = "ahead of" if ahead_ns > 0 else "behind"
-        self._notice(
-            NoticeKind.CLOCK_DIFFERS,
-            f"the other side's wall clock is {_duration(abs(ahead_ns))} {how} ours: ages stay right, but "
-            "the two sides' stamps and recordings disagree; set both hosts' clocks (chrony, ntpd, `date`)",
-            now_ns,
-        )
-
-    def _complain_without_answer(self, now_ns: int) -> None:
-        if self._sessions or now_ns < self._complain_at_ns:
-            return
-        self._complain_at_ns = now_ns + _NO_ANSWER_AGAIN_NS
-        self._notice(
-            NoticeKind.NO_ANSWER,
-            f"no answer from {_show(self._configured_peer)} for {_duration(now_ns - self._started_ns)}: is "
-            f"the other side running, do datagrams pass both ways, and is key {self._own_key.name} among its "
-            "link.keys? Its log names the key if it gets ours but does not know it",
-            now_ns,
-        )
-
-    def _complain_of_key_id(self, key_id: bytes, source: Address, now_ns: int) -> None:
-        ours = ", ".join(key.name for key in self._keys.values())
-        self._notice(
-            NoticeKind.UNKNOWN_KEY,
-            f"{_show(source)} uses link key {key_id.hex()}, which is not among ours ({ours}): if that is the "
-            "other side, copy the same key file to both sides and name it in link.keys",
-            now_ns,
-        )
-
-    def _complain_of_key(self, key: LinkKey, source: Address, now_ns: int) -> None:
-        self._notice(
-            NoticeKind.WRONG_KEY,
-            f"{_show(source)} names link key {key.name} but does not hold it, or both daemons are of the "
-            f"{self._side}'s side: compare the key files and link.side of both sides",
-            now_ns,
-        )
-
-    def _notice(self, kind: NoticeKind, text: str, now_ns: int) -> None:
-        """Say something, but the same kind of thing only every ten seconds."""
-        last_ns = self._noticed.get(kind)
-        if last_ns is None or now_ns - last_ns >= _NOTICE_AGAIN_NS:
-            self._noticed[kind] = now_ns
-            self.notices.append(Notice(kind, text))
-
-
-def _show(address: Address) -> str:
-    return f"{address[0]}:{address[1]}"
-
-
-def _duration(duration_ns: int) -> str:
-    seconds = duration_ns // _NS_PER_S
-    if seconds < 120:
-        return f"{seconds} s"
-    minutes = seconds // 60
-    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"

@@ -31,8 +31,8 @@ _NONCE_BYTES = 13  # leaves a length field of two bytes: datagrams are no longer
 class Session:
     """Keys that one handshake has made, and what has been said under them.
 
-    own_id: how the peer addresses it. hello: what the peer told of itself. initiated: by this side.
-    key_name: of the link key that the handshake was made with.
+    own_id: how the peer addresses it. hello: what the peer told of itself. key_name: of the link key that
+    the handshake was made with. answered_to: where our answer went; None if this side has started it.
     """
 
     __slots__ = (
@@ -43,9 +43,9 @@ class Session:
         "_peer_id",
         "_seal",
         "_windows",
+        "answered_to",
         "forged",
         "hello",
-        "initiated",
         "key_name",
         "made_ns",
         "own_id",
@@ -60,12 +60,12 @@ class Session:
         keys: TransportKeys,
         key_name: str,
         *,
-        initiated: bool,
         now_ns: int,
+        answered_to: tuple[str, int] | None = None,
     ) -> None:
         self.own_id = own_id
         self.hello = hello
-        self.initiated = initiated
+        self.answered_to = answered_to
         self.key_name = key_name
         self.made_ns = now_ns
         self.used_ns = now_ns  # something was opened
