@@ -16,7 +16,7 @@ from messages.proto.straitlink.bounded.link_status_pb2 import LinkStatus
 from messages.proto.straitlink.bounded.motion_plan_pb2 import MotionPlan
 from messages.proto.straitlink.bounded.odometry_pb2 import Odometry
 from messages.proto.straitlink.bounded.pivot_plan_pb2 import PivotPlan
-from messages.proto.straitlink.bounded.process_report_pb2 import ProcessNames, ProcessReport
+from messages.proto.straitlink.bounded.process_report_pb2 import ProcessReport
 from messages.proto.straitlink.bounded.receipt_pb2 import Receipt
 from messages.proto.straitlink.bounded.robot_state_pb2 import RobotState
 from messages.proto.straitlink.bounded.steering_command_pb2 import SteeringCommand
@@ -53,8 +53,7 @@ BOUNDED_CATALOGUE: tuple[BoundedMessage, ...] = (
     BoundedMessage(Affordance, "an object that a template was fitted to", "command"),
     BoundedMessage(SteeringCommand, "turn a vehicle's wheel by an angle", "command"),
     BoundedMessage(PivotPlan, "walk a bulky object on its lower corners", "plan"),
-    BoundedMessage(ProcessReport, "processes by a hash of their name", "state"),
-    BoundedMessage(ProcessNames, "the names that the hashes stand for", "command"),
+    BoundedMessage(ProcessReport, "processes by a hash of their name; each name crosses once", "state"),
     BoundedMessage(LinkStatus, "what a shaper believes of its link", "state"),
     BoundedMessage(Receipt, "how far a reliable message has come", "state"),
 )

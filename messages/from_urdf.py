@@ -120,7 +120,9 @@ def _position_bounds(joint: Joint, detail: Detail) -> _Bounds:
 def _symmetric(joint: Joint, quantity: str, bits: int) -> _Bounds:
     limit: float | None = getattr(joint, quantity)
     if not limit:
-        raise ValueError(f"joint {joint.name!r} states no {quantity} limit: {quantity} bits need one")
+        raise ValueError(
+            f"joint {joint.name!r} states no {quantity} limit within 0 and 1e6: {quantity} bits need one"
+        )
     return _bounds_of_bits(-abs(limit), abs(limit), bits)
 
 

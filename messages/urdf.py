@@ -11,6 +11,7 @@ JointKind = Literal["revolute", "continuous", "prismatic"]
 
 MAX_URDF_BYTES = 50_000_000
 MAX_JOINTS = 1000
+_MAX = 1e6  # of any limit, in its unit
 _KINDS: dict[str, JointKind] = {k: k for k in get_args(JointKind)}
 
 
@@ -80,7 +81,7 @@ def _joint(element: ElementTree.Element) -> Joint:
     if name.startswith("[") or not name.isprintable():  # what a .proto cannot hold as a json_name
         raise UrdfError(f"joint {name!r}: a name must be printable and not start with '['")
     limit = element.find("limit")
-    velocity, effort = _number(name, limit, "velocity"), _number(name, limit, "effort")
+    velocity, effort = _magnitude(limit, "velocity"), _magnitude(limit, "effort")
     if kind == "continuous":
         return Joint(name, kind, -math.pi, math.pi, velocity, effort)
     lower, upper = _number(name, limit, "lower"), _number(name, limit, "upper")
@@ -92,6 +93,15 @@ def _joint(element: ElementTree.Element) -> Joint:
     return Joint(name, kind, lower, upper, velocity, effort)
 
 
+def _magnitude(limit: ElementTree.Element | None, attribute: str) -> float | None:
+    """What a URDF has for "as much as it can" (0, inf, 1e9) is no limit."""
+    try:
+        value = abs(float("" if limit is None else limit.get(attribute, "")))
+    except ValueError:
+        return None
+    return value if 0 < value <= _MAX else None
+
+
 def _number(joint: str, limit: ElementTree.Element | None, attribute: str) -> float | None:
     text = None if limit is None else limit.get(attribute)
     if text is None:
@@ -100,6 +110,6 @@ def _number(joint: str, limit: ElementTree.Element | None, attribute: str) -> fl
         value = float(text)
     except ValueError:
         value = math.nan
-    if not abs(value) <= 1e6:
+    if not abs(value) <= _MAX:
         raise UrdfError(f"joint {joint!r}: {attribute} = {text!r} is no number within -1e6..1e6")
     return value

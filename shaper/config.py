@@ -335,7 +335,7 @@ def _check_topic(
     if is_stream and (traffic_class.keep is not Keep.LATEST or topic.pull):
         raise ConfigError(
             f'{where}.encoding = {json.dumps(topic.encoding)}: expected a class with keep = "latest" and no'
-            f" pull, since encodings.{topic.encoding}.delta is true"
+            " pull, since its messages lean on those that have arrived"
         )
 
 

@@ -65,8 +65,12 @@ def _bounded(table: EncodingTable, folder: Path) -> TopicEncoding:
     from messages.payload.bounded import BoundedEncoding
     from messages.payload.delta import DeltaEncoding
     from messages.payload.maps import maps_of
+    from messages.payload.processes import ProcessEncoding
+    from messages.proto.straitlink.bounded.process_report_pb2 import ProcessReport
 
     message_type = _message_type(table, folder)
+    if message_type is ProcessReport:
+        return ProcessEncoding(out_of_range=table.out_of_range, assume=table.assume, publish=table.publish)
     return (DeltaEncoding if table.delta else BoundedEncoding)(
         message_type,
         maps_of(message_type),

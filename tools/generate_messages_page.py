@@ -53,7 +53,9 @@ def _section(message: BoundedMessage) -> str:
     ]
     types = [f"`{m.bus_type}`" for m in maps_of(message.message_type)]
     own = f"`application/protobuf;{message.name}`"
-    lines += [f"Said on the bus as {', '.join(dict.fromkeys((own, *types)))}.", ""]
+    said = list(dict.fromkeys((own, *types)))
+    alone = "" if len(said) > 1 else " Neither ROS 2 nor Foxglove has a type that says this."
+    lines += [f"Said on the bus as {', '.join(said)}.{alone}", ""]
     lines += [
         "| field | type | bounds | resolution | unit | bits | source |",
         "|---|---|---|---|---|---|---|",

@@ -11,6 +11,7 @@ from messages.payload.joint_maps import joint_maps
 from messages.payload.pivot_map import PivotPlanMap
 from messages.payload.plan_maps import FOOTSTEP_PLAN_MAPS, MOTION_PLAN_MAPS
 from messages.payload.pose_maps import HAND_MAPS, ODOMETRY_MAPS, TRANSFORM_MAPS, WRENCH_MAPS
+from messages.payload.processes import ProcessStatusMap
 
 _MAPS: Mapping[str, Sequence[PayloadMap]] = {
     "straitlink.bounded.Odometry": ODOMETRY_MAPS,
@@ -20,6 +21,7 @@ _MAPS: Mapping[str, Sequence[PayloadMap]] = {
     "straitlink.bounded.MotionPlan": MOTION_PLAN_MAPS,
     "straitlink.bounded.FootstepPlan": FOOTSTEP_PLAN_MAPS,
     "straitlink.bounded.PivotPlan": (PivotPlanMap(),),
+    "straitlink.bounded.ProcessReport": (ProcessStatusMap(),),
 }
 
 

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from messages.bounded_catalogue import BOUNDED_CATALOGUE, find_bounded
-from messages.dccl import Codec, DecodeError, FieldInfo
+from messages.dccl import Codec, DecodeError, EncodeError, FieldInfo
 from messages.payload.maps import maps_of
 from messages.proto.straitlink.bounded.robot_state_pb2 import RobotState
+from messages.proto.straitlink.bounded.steering_command_pb2 import SteeringCommand
 
 NAMES = [message.name for message in BOUNDED_CATALOGUE]
 # Numbers without a unit: counts, hashes, ratios, the components of quaternions, and parameters whose
@@ -38,7 +39,7 @@ def leaves(name: str) -> list[FieldInfo]:
 def test_ids_and_names_are_unique() -> None:
     infos = [codec(name).info() for name in NAMES]
     ids = [info.message_id for info in infos]
-    assert len(set(ids)) == len(ids) == len(set(NAMES)) == 17
+    assert len(set(ids)) == len(ids) == len(set(NAMES)) == 16
     assert all(info.id_bits == 8 for info in infos)
 
 
@@ -79,6 +80,32 @@ def test_the_hands_of_hubo_keep_to_the_limits_of_its_operators() -> None:
     assert (rows["RSR"].minimum, rows["RSR"].maximum) == (-2.0, 0.3)
     assert (rows["RHY"].minimum, rows["LHY"].maximum) == (-1.8, 1.8)
     assert (rows["LWP"].minimum, rows["LWP"].maximum) == (-1.4, 1.2)
+
+
+@pytest.mark.parametrize(("angle_deg", "is_reachable"), [(28, False), (29, True), (90, True), (91, False)])
+def test_a_wheel_is_turned_by_what_the_hands_reach(angle_deg: int, is_reachable: bool) -> None:
+    rim = {"x": 0.5, "y": 0.1, "z": 0.3}
+    command = SteeringCommand(
+        command_id=1,
+        rim_a=rim,
+        rim_b=rim,
+        rim_c=rim,
+        angle=angle_deg,
+        direction=SteeringCommand.RIGHT,
+        motion=SteeringCommand.CROSS_OVER,
+        feed_forward=1,
+    )
+    with (
+        contextlib.nullcontext()
+        if is_reachable
+        else pytest.raises(EncodeError, match=r"angle = \d+.* 29.* 90")
+    ):
+        assert (
+            codec("straitlink.bounded.SteeringCommand").decode(
+                codec("straitlink.bounded.SteeringCommand").encode(command)
+            )
+            == command
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -122,3 +122,12 @@ def test_any_robot_s_schema_loads_and_costs_just_the_bits_asked_for(
 def test_a_detail_that_cannot_be_is_refused(detail: dict[str, float], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         Detail(**detail)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("magnitude", ["0", "inf", "1e9", "", "as needed", "nan"])
+def test_a_velocity_that_limits_nothing_is_no_fault_unless_it_is_asked_for(magnitude: str) -> None:
+    text = f"<robot><joint name='a' type='revolute'><limit lower='-1' upper='1' velocity='{magnitude}'/>"
+    robot = parse_urdf(f"{text}</joint></robot>".encode())
+    assert "positions" in proto_of(robot, Detail(), "a.urdf")
+    with pytest.raises(ValueError, match="joint 'a' states no velocity limit within 0 and 1e6"):
+        proto_of(robot, Detail(velocity_bits=8), "a.urdf")

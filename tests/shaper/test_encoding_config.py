@@ -17,6 +17,7 @@ from messages.payload.joints import (
     write_joint_state,
 )
 from messages.proto.straitlink.heartbeat_pb2 import Heartbeat
+from messages.proto.straitlink.process_status_pb2 import ProcessStatus
 from shaper.config import ShaperConfig, load_config
 from shaper.errors import ConfigError
 from shaper.events import Delivered
@@ -27,6 +28,7 @@ from tests.shaper.test_config import MINIMAL
 G1_LOG = Path(__file__).resolve().parents[3] / "shared" / "data" / "logs" / "g1_teleop_ep001.mcap"
 JOINTS = MINIMAL + 'encoding = "joints"\n[encodings.joints]\nproto = "g1.proto"\n'
 KEY = "robot/joint_states"
+PROCESSES = "application/protobuf;straitlink.ProcessStatus"
 
 
 def load(folder: Path, text: str, name: str = "side.toml") -> ShaperConfig:
@@ -98,6 +100,30 @@ def test_publishers_that_tell_no_type_are_helped_by_assume(tmp_path: Path) -> No
         pair.advance(1 * S)
         delivered = [e for e in pair.operator.events if isinstance(e, Delivered)]
         assert [read_joint_state(e.payload).names for e in delivered] == [NAMES] * crosses
+
+
+def test_the_names_of_processes_cross_once_and_then_no_more(tmp_path: Path) -> None:
+    text = (
+        MINIMAL
+        + 'encoding = "processes"\n[encodings.processes]\nmessage = "straitlink.bounded.ProcessReport"\n'
+    )
+    config = load(tmp_path, text)
+    pair = pair_of(config, config)
+    status = ProcessStatus(processes=[ProcessStatus.Process(name=f"p{i}", host="atlas0") for i in range(20)])
+    sizes = []
+    for step in range(12):
+        status.processes[step].state = ProcessStatus.State.STATE_FAILED
+        before = pair.robot.endpoint.sent_ledgers().get(KEY)
+        sizes.append(-before.sent_bytes if before else 0)
+        pair.offer(pair.robot, KEY, status.SerializeToString(), encoding=PROCESSES)
+        pair.advance(200 * MS)
+        sizes[-1] += pair.robot.endpoint.sent_ledgers()[KEY].sent_bytes
+    delivered = [e.payload for e in pair.operator.events if isinstance(e, Delivered)]
+    assert sizes[0] > 200 and sizes[4:] == [56] * 8
+    last = ProcessStatus.FromString(delivered[-1])
+    assert [(p.name, p.host, p.state) for p in last.processes] == [
+        (p.name, p.host, p.state) for p in status.processes
+    ]
 
 
 def test_another_detail_of_the_same_robot_is_another_encoding(tmp_path: Path) -> None:

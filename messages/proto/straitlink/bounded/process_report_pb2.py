@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from messages.proto.dccl import option_extensions_pb2 as dccl_dot_option__extensions__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n6messages/proto/straitlink/bounded/process_report.proto\x12\x12straitlink.bounded\x1a\x1c\x64\x63\x63l/option_extensions.proto\"\x8d\x05\n\rProcessReport\x12S\n\x08table_id\x18\x01 \x02(\rBA\xa2?>)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\xe0o@\xa2\x01)the table of names that the hashes are of\x12U\n\tprocesses\x18\x02 \x03(\x0b\x32).straitlink.bounded.ProcessReport.ProcessB\x17\xa2?\x14Pd\xa2\x01\x0fprocess manager\x1a\xf3\x02\n\x07Process\x12[\n\tname_hash\x18\x01 \x02(\rBH\xa2?E)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\xe0\xff\xef@\xa2\x01\x30\x43RC-16 of host and name, moved on where two meet\x12M\n\x05state\x18\x02 \x02(\x0e\x32\'.straitlink.bounded.ProcessReport.StateB\x15\xa2?\x12\xa2\x01\x0fprocess manager\x12^\n\tcpu_ratio\x18\x03 \x01(\x01\x42K\xa2?H\n\rdccl.presence)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\x00\xf4?a\x9a\x99\x99\x99\x99\x99\xa9?\xa2\x01\x1bof one core; /proc/PID/stat\x12\\\n\x06memory\x18\x04 \x01(\rBL\xa2?I\n\rdccl.presence)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\xe0\xff\xef@\xa2\x01\x1dresident set; /proc/PID/statm\xf2\x01\x05*\x03MiB\"N\n\x05State\x12\x0f\n\x0bUNSPECIFIED\x10\x00\x12\x0b\n\x07RUNNING\x10\x01\x12\x0b\n\x07STOPPED\x10\x02\x12\x0e\n\nRESTARTING\x10\x03\x12\n\n\x06\x46\x41ILED\x10\x04:\n\xa2?\x07\x08\r\x10\xd8\x04(\x04\"\xd7\x02\n\x0cProcessNames\x12H\n\x08table_id\x18\x01 \x02(\rB6\xa2?3)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\xe0o@\xa2\x01\x1e\x63ounts the changes, modulo 2^8\x12P\n\x07\x65ntries\x18\x02 \x03(\x0b\x32&.straitlink.bounded.ProcessNames.EntryB\x17\xa2?\x14Pd\xa2\x01\x0fone per process\x1a\x9e\x01\n\x05\x45ntry\x12>\n\tname_hash\x18\x01 \x02(\rB+\xa2?()\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\xe0\xff\xef@\xa2\x01\x13\x61s in ProcessReport\x12\x1e\n\x04host\x18\x02 \x02(\tB\x10\xa2?\rH?\xa2\x01\x08RFC 1123\x12\x35\n\x04name\x18\x03 \x02(\tB\'\xa2?$H?\xa2\x01\x1fprocess manager\'s configuration:\n\xa2?\x07\x08\x0e\x10\xac\x66(\x04')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n6messages/proto/straitlink/bounded/process_report.proto\x12\x12straitlink.bounded\x1a\x1c\x64\x63\x63l/option_extensions.proto\"\xcc\x06\n\rProcessReport\x12U\n\tprocesses\x18\x01 \x03(\x0b\x32).straitlink.bounded.ProcessReport.ProcessB\x17\xa2?\x14Pd\xa2\x01\x0fprocess manager\x12m\n\x05names\x18\x02 \x03(\x0b\x32&.straitlink.bounded.ProcessReport.NameB6\xa2?3Pd\xa2\x01.those that the other side is not known to have\x1a\xfe\x02\n\x07Process\x12[\n\tname_hash\x18\x01 \x02(\rBH\xa2?E)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\xe0\xff\xef@\xa2\x01\x30\x43RC-16 of host and name, moved on where two meet\x12M\n\x05state\x18\x02 \x02(\x0e\x32\'.straitlink.bounded.ProcessReport.StateB\x15\xa2?\x12\xa2\x01\x0fprocess manager\x12i\n\tcpu_ratio\x18\x03 \x01(\x01\x42V\xa2?S\n\rdccl.presence)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x66\x66\x66\x66\x66\x66\x19@a\x9a\x99\x99\x99\x99\x99\xa9?\xa2\x01&of one core, up to six; /proc/PID/stat\x12\\\n\x06memory\x18\x04 \x01(\rBL\xa2?I\n\rdccl.presence)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\xe0\xff\xef@\xa2\x01\x1dresident set; /proc/PID/statm\xf2\x01\x05*\x03MiB\x1a\x97\x01\n\x04Name\x12\x38\n\tname_hash\x18\x01 \x02(\rB%\xa2?\")\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\xe0\xff\xef@\xa2\x01\ras in Process\x12\x1e\n\x04host\x18\x02 \x02(\tB\x10\xa2?\rH?\xa2\x01\x08RFC 1123\x12\x35\n\x04name\x18\x03 \x02(\tB\'\xa2?$H?\xa2\x01\x1fprocess manager\'s configuration\"N\n\x05State\x12\x0f\n\x0bUNSPECIFIED\x10\x00\x12\x0b\n\x07RUNNING\x10\x01\x12\x0b\n\x07STOPPED\x10\x02\x12\x0e\n\nRESTARTING\x10\x03\x12\n\n\x06\x46\x41ILED\x10\x04:\n\xa2?\x07\x08\r\x10\xa0j(\x04')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -37,35 +37,27 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_PROCESSREPORT_PROCESS'].fields_by_name['state']._loaded_options = None
   _globals['_PROCESSREPORT_PROCESS'].fields_by_name['state']._serialized_options = b'\242?\022\242\001\017process manager'
   _globals['_PROCESSREPORT_PROCESS'].fields_by_name['cpu_ratio']._loaded_options = None
-  _globals['_PROCESSREPORT_PROCESS'].fields_by_name['cpu_ratio']._serialized_options = b'\242?H\n\rdccl.presence)\000\000\000\000\000\000\000\0001\000\000\000\000\000\000\364?a\232\231\231\231\231\231\251?\242\001\033of one core; /proc/PID/stat'
+  _globals['_PROCESSREPORT_PROCESS'].fields_by_name['cpu_ratio']._serialized_options = b'\242?S\n\rdccl.presence)\000\000\000\000\000\000\000\0001ffffff\031@a\232\231\231\231\231\231\251?\242\001&of one core, up to six; /proc/PID/stat'
   _globals['_PROCESSREPORT_PROCESS'].fields_by_name['memory']._loaded_options = None
   _globals['_PROCESSREPORT_PROCESS'].fields_by_name['memory']._serialized_options = b'\242?I\n\rdccl.presence)\000\000\000\000\000\000\000\0001\000\000\000\000\340\377\357@\242\001\035resident set; /proc/PID/statm\362\001\005*\003MiB'
-  _globals['_PROCESSREPORT'].fields_by_name['table_id']._loaded_options = None
-  _globals['_PROCESSREPORT'].fields_by_name['table_id']._serialized_options = b'\242?>)\000\000\000\000\000\000\000\0001\000\000\000\000\000\340o@\242\001)the table of names that the hashes are of'
+  _globals['_PROCESSREPORT_NAME'].fields_by_name['name_hash']._loaded_options = None
+  _globals['_PROCESSREPORT_NAME'].fields_by_name['name_hash']._serialized_options = b'\242?\")\000\000\000\000\000\000\000\0001\000\000\000\000\340\377\357@\242\001\ras in Process'
+  _globals['_PROCESSREPORT_NAME'].fields_by_name['host']._loaded_options = None
+  _globals['_PROCESSREPORT_NAME'].fields_by_name['host']._serialized_options = b'\242?\rH?\242\001\010RFC 1123'
+  _globals['_PROCESSREPORT_NAME'].fields_by_name['name']._loaded_options = None
+  _globals['_PROCESSREPORT_NAME'].fields_by_name['name']._serialized_options = b'\242?$H?\242\001\037process manager\'s configuration'
   _globals['_PROCESSREPORT'].fields_by_name['processes']._loaded_options = None
   _globals['_PROCESSREPORT'].fields_by_name['processes']._serialized_options = b'\242?\024Pd\242\001\017process manager'
+  _globals['_PROCESSREPORT'].fields_by_name['names']._loaded_options = None
+  _globals['_PROCESSREPORT'].fields_by_name['names']._serialized_options = b'\242?3Pd\242\001.those that the other side is not known to have'
   _globals['_PROCESSREPORT']._loaded_options = None
-  _globals['_PROCESSREPORT']._serialized_options = b'\242?\007\010\r\020\330\004(\004'
-  _globals['_PROCESSNAMES_ENTRY'].fields_by_name['name_hash']._loaded_options = None
-  _globals['_PROCESSNAMES_ENTRY'].fields_by_name['name_hash']._serialized_options = b'\242?()\000\000\000\000\000\000\000\0001\000\000\000\000\340\377\357@\242\001\023as in ProcessReport'
-  _globals['_PROCESSNAMES_ENTRY'].fields_by_name['host']._loaded_options = None
-  _globals['_PROCESSNAMES_ENTRY'].fields_by_name['host']._serialized_options = b'\242?\rH?\242\001\010RFC 1123'
-  _globals['_PROCESSNAMES_ENTRY'].fields_by_name['name']._loaded_options = None
-  _globals['_PROCESSNAMES_ENTRY'].fields_by_name['name']._serialized_options = b'\242?$H?\242\001\037process manager\'s configuration'
-  _globals['_PROCESSNAMES'].fields_by_name['table_id']._loaded_options = None
-  _globals['_PROCESSNAMES'].fields_by_name['table_id']._serialized_options = b'\242?3)\000\000\000\000\000\000\000\0001\000\000\000\000\000\340o@\242\001\036counts the changes, modulo 2^8'
-  _globals['_PROCESSNAMES'].fields_by_name['entries']._loaded_options = None
-  _globals['_PROCESSNAMES'].fields_by_name['entries']._serialized_options = b'\242?\024Pd\242\001\017one per process'
-  _globals['_PROCESSNAMES']._loaded_options = None
-  _globals['_PROCESSNAMES']._serialized_options = b'\242?\007\010\016\020\254f(\004'
+  _globals['_PROCESSREPORT']._serialized_options = b'\242?\007\010\r\020\240j(\004'
   _globals['_PROCESSREPORT']._serialized_start=109
-  _globals['_PROCESSREPORT']._serialized_end=762
-  _globals['_PROCESSREPORT_PROCESS']._serialized_start=299
-  _globals['_PROCESSREPORT_PROCESS']._serialized_end=670
-  _globals['_PROCESSREPORT_STATE']._serialized_start=672
-  _globals['_PROCESSREPORT_STATE']._serialized_end=750
-  _globals['_PROCESSNAMES']._serialized_start=765
-  _globals['_PROCESSNAMES']._serialized_end=1108
-  _globals['_PROCESSNAMES_ENTRY']._serialized_start=938
-  _globals['_PROCESSNAMES_ENTRY']._serialized_end=1096
+  _globals['_PROCESSREPORT']._serialized_end=953
+  _globals['_PROCESSREPORT_PROCESS']._serialized_start=325
+  _globals['_PROCESSREPORT_PROCESS']._serialized_end=707
+  _globals['_PROCESSREPORT_NAME']._serialized_start=710
+  _globals['_PROCESSREPORT_NAME']._serialized_end=861
+  _globals['_PROCESSREPORT_STATE']._serialized_start=863
+  _globals['_PROCESSREPORT_STATE']._serialized_end=941
 # @@protoc_insertion_point(module_scope)

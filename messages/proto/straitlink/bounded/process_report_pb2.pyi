@@ -21,7 +21,7 @@ DESCRIPTOR: _descriptor.FileDescriptor
 
 @_typing.final
 class ProcessReport(_message.Message):
-    """Processes by a 16-bit hash of their name (messages.process_names); the names cross once, in ProcessNames."""
+    """Processes by a 16-bit hash of their name; a name crosses until a report with it has arrived (messages.payload.processes)."""
 
     DESCRIPTOR: _descriptor.Descriptor
 
@@ -70,33 +70,8 @@ class ProcessReport(_message.Message):
         def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
         def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-    TABLE_ID_FIELD_NUMBER: _builtins.int
-    PROCESSES_FIELD_NUMBER: _builtins.int
-    table_id: _builtins.int
-    @_builtins.property
-    def processes(self) -> _containers.RepeatedCompositeFieldContainer[Global___ProcessReport.Process]: ...
-    def __init__(
-        self,
-        *,
-        table_id: _builtins.int | None = ...,
-        processes: _abc.Iterable[Global___ProcessReport.Process] | None = ...,
-    ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["table_id", b"table_id"]  # noqa: Y015
-    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["processes", b"processes", "table_id", b"table_id"]  # noqa: Y015
-    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
-    def WhichOneof(self, oneof_group: _Never) -> None: ...
-
-Global___ProcessReport: _TypeAlias = ProcessReport  # noqa: Y015
-
-@_typing.final
-class ProcessNames(_message.Message):
-    """The table of names, to be sent reliably when it changes."""
-
-    DESCRIPTOR: _descriptor.Descriptor
-
     @_typing.final
-    class Entry(_message.Message):
+    class Name(_message.Message):
         DESCRIPTOR: _descriptor.Descriptor
 
         NAME_HASH_FIELD_NUMBER: _builtins.int
@@ -118,21 +93,22 @@ class ProcessNames(_message.Message):
         def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
         def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-    TABLE_ID_FIELD_NUMBER: _builtins.int
-    ENTRIES_FIELD_NUMBER: _builtins.int
-    table_id: _builtins.int
+    PROCESSES_FIELD_NUMBER: _builtins.int
+    NAMES_FIELD_NUMBER: _builtins.int
     @_builtins.property
-    def entries(self) -> _containers.RepeatedCompositeFieldContainer[Global___ProcessNames.Entry]: ...
+    def processes(self) -> _containers.RepeatedCompositeFieldContainer[Global___ProcessReport.Process]: ...
+    @_builtins.property
+    def names(self) -> _containers.RepeatedCompositeFieldContainer[Global___ProcessReport.Name]: ...
     def __init__(
         self,
         *,
-        table_id: _builtins.int | None = ...,
-        entries: _abc.Iterable[Global___ProcessNames.Entry] | None = ...,
+        processes: _abc.Iterable[Global___ProcessReport.Process] | None = ...,
+        names: _abc.Iterable[Global___ProcessReport.Name] | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["table_id", b"table_id"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _Never  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["entries", b"entries", "table_id", b"table_id"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["names", b"names", "processes", b"processes"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
-Global___ProcessNames: _TypeAlias = ProcessNames  # noqa: Y015
+Global___ProcessReport: _TypeAlias = ProcessReport  # noqa: Y015

@@ -26,7 +26,7 @@ from messages.proto.dccl import option_extensions_pb2 as dccl_dot_option__extens
 from messages.proto.straitlink.bounded import geometry_pb2 as messages_dot_proto_dot_straitlink_dot_bounded_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n8messages/proto/straitlink/bounded/steering_command.proto\x12\x12straitlink.bounded\x1a\x1c\x64\x63\x63l/option_extensions.proto\x1a\x30messages/proto/straitlink/bounded/geometry.proto\"\xd1\x04\n\x0fSteeringCommand\x12H\n\ncommand_id\x18\x01 \x02(\rB4\xa2?1)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\xe0o@\xa2\x01\x1coperator\'s count, modulo 2^8\x12(\n\x05rim_a\x18\x02 \x02(\x0b\x32\x19.straitlink.bounded.Point\x12(\n\x05rim_b\x18\x03 \x02(\x0b\x32\x19.straitlink.bounded.Point\x12(\n\x05rim_c\x18\x04 \x02(\x0b\x32\x19.straitlink.bounded.Point\x12t\n\x05\x61ngle\x18\x05 \x02(\x11\x42\x65\xa2?b)\x00\x00\x00\x00\x00\x80V\xc0\x31\x00\x00\x00\x00\x00\x80V@\xa2\x01\x45relative, by 1 degree; the hands reach about 0.50 to 1.57 rad of turn\xf2\x01\x05*\x03\x64\x65g\x12j\n\x06motion\x18\x06 \x02(\x0e\x32*.straitlink.bounded.SteeringCommand.MotionB.\xa2?+\xa2\x01(hands turn with the wheel, or cross over\x12\x63\n\x0c\x66\x65\x65\x64_forward\x18\x07 \x02(\x01\x42M\xa2?J)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\x00\x00@a\x9a\x99\x99\x99\x99\x99\xa9?\xa2\x01,factor on the model\'s torque; 1 is the model\"$\n\x06Motion\x12\n\n\x06\x44IRECT\x10\x00\x12\x0e\n\nCROSS_OVER\x10\x01:\t\xa2?\x06\x08\x0b\x10\x14(\x04')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n8messages/proto/straitlink/bounded/steering_command.proto\x12\x12straitlink.bounded\x1a\x1c\x64\x63\x63l/option_extensions.proto\x1a\x30messages/proto/straitlink/bounded/geometry.proto\"\xe8\x05\n\x0fSteeringCommand\x12H\n\ncommand_id\x18\x01 \x02(\rB4\xa2?1)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\xe0o@\xa2\x01\x1coperator\'s count, modulo 2^8\x12(\n\x05rim_a\x18\x02 \x02(\x0b\x32\x19.straitlink.bounded.Point\x12(\n\x05rim_b\x18\x03 \x02(\x0b\x32\x19.straitlink.bounded.Point\x12(\n\x05rim_c\x18\x04 \x02(\x0b\x32\x19.straitlink.bounded.Point\x12\x82\x01\n\x05\x61ngle\x18\x05 \x02(\rBs\xa2?p)\x00\x00\x00\x00\x00\x00=@1\x00\x00\x00\x00\x00\x80V@\xa2\x01Srelative to the wheel as it is, by 1 degree; the hands reach about 0.50 to 1.57 rad\xf2\x01\x05*\x03\x64\x65g\x12j\n\x06motion\x18\x06 \x02(\x0e\x32*.straitlink.bounded.SteeringCommand.MotionB.\xa2?+\xa2\x01(hands turn with the wheel, or cross over\x12\x63\n\x0c\x66\x65\x65\x64_forward\x18\x07 \x02(\x01\x42M\xa2?J)\x00\x00\x00\x00\x00\x00\x00\x00\x31\x00\x00\x00\x00\x00\x00\x00@a\x9a\x99\x99\x99\x99\x99\xa9?\xa2\x01,factor on the model\'s torque; 1 is the model\x12\x64\n\tdirection\x18\x08 \x02(\x0e\x32-.straitlink.bounded.SteeringCommand.DirectionB\"\xa2?\x1f\xa2\x01\x1c\x61s the driver sees the wheel\"$\n\x06Motion\x12\n\n\x06\x44IRECT\x10\x00\x12\x0e\n\nCROSS_OVER\x10\x01\" \n\tDirection\x12\x08\n\x04LEFT\x10\x00\x12\t\n\x05RIGHT\x10\x01:\t\xa2?\x06\x08\x0b\x10\x14(\x04')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -36,15 +36,19 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_STEERINGCOMMAND'].fields_by_name['command_id']._loaded_options = None
   _globals['_STEERINGCOMMAND'].fields_by_name['command_id']._serialized_options = b'\242?1)\000\000\000\000\000\000\000\0001\000\000\000\000\000\340o@\242\001\034operator\'s count, modulo 2^8'
   _globals['_STEERINGCOMMAND'].fields_by_name['angle']._loaded_options = None
-  _globals['_STEERINGCOMMAND'].fields_by_name['angle']._serialized_options = b'\242?b)\000\000\000\000\000\200V\3001\000\000\000\000\000\200V@\242\001Erelative, by 1 degree; the hands reach about 0.50 to 1.57 rad of turn\362\001\005*\003deg'
+  _globals['_STEERINGCOMMAND'].fields_by_name['angle']._serialized_options = b'\242?p)\000\000\000\000\000\000=@1\000\000\000\000\000\200V@\242\001Srelative to the wheel as it is, by 1 degree; the hands reach about 0.50 to 1.57 rad\362\001\005*\003deg'
   _globals['_STEERINGCOMMAND'].fields_by_name['motion']._loaded_options = None
   _globals['_STEERINGCOMMAND'].fields_by_name['motion']._serialized_options = b'\242?+\242\001(hands turn with the wheel, or cross over'
   _globals['_STEERINGCOMMAND'].fields_by_name['feed_forward']._loaded_options = None
   _globals['_STEERINGCOMMAND'].fields_by_name['feed_forward']._serialized_options = b'\242?J)\000\000\000\000\000\000\000\0001\000\000\000\000\000\000\000@a\232\231\231\231\231\231\251?\242\001,factor on the model\'s torque; 1 is the model'
+  _globals['_STEERINGCOMMAND'].fields_by_name['direction']._loaded_options = None
+  _globals['_STEERINGCOMMAND'].fields_by_name['direction']._serialized_options = b'\242?\037\242\001\034as the driver sees the wheel'
   _globals['_STEERINGCOMMAND']._loaded_options = None
   _globals['_STEERINGCOMMAND']._serialized_options = b'\242?\006\010\013\020\024(\004'
   _globals['_STEERINGCOMMAND']._serialized_start=161
-  _globals['_STEERINGCOMMAND']._serialized_end=754
-  _globals['_STEERINGCOMMAND_MOTION']._serialized_start=707
-  _globals['_STEERINGCOMMAND_MOTION']._serialized_end=743
+  _globals['_STEERINGCOMMAND']._serialized_end=905
+  _globals['_STEERINGCOMMAND_MOTION']._serialized_start=824
+  _globals['_STEERINGCOMMAND_MOTION']._serialized_end=860
+  _globals['_STEERINGCOMMAND_DIRECTION']._serialized_start=862
+  _globals['_STEERINGCOMMAND_DIRECTION']._serialized_end=894
 # @@protoc_insertion_point(module_scope)

@@ -37,6 +37,19 @@ class SteeringCommand(_message.Message):
     DIRECT: SteeringCommand.Motion.ValueType  # 0
     CROSS_OVER: SteeringCommand.Motion.ValueType  # 1
 
+    class _Direction:
+        ValueType = _typing.NewType("ValueType", _builtins.int)
+        V: _TypeAlias = ValueType  # noqa: Y015
+
+    class _DirectionEnumTypeWrapper(_enum_type_wrapper._EnumTypeWrapper[SteeringCommand._Direction.ValueType], _builtins.type):
+        DESCRIPTOR: _descriptor.EnumDescriptor
+        LEFT: SteeringCommand._Direction.ValueType  # 0
+        RIGHT: SteeringCommand._Direction.ValueType  # 1
+
+    class Direction(_Direction, metaclass=_DirectionEnumTypeWrapper): ...
+    LEFT: SteeringCommand.Direction.ValueType  # 0
+    RIGHT: SteeringCommand.Direction.ValueType  # 1
+
     COMMAND_ID_FIELD_NUMBER: _builtins.int
     RIM_A_FIELD_NUMBER: _builtins.int
     RIM_B_FIELD_NUMBER: _builtins.int
@@ -44,10 +57,15 @@ class SteeringCommand(_message.Message):
     ANGLE_FIELD_NUMBER: _builtins.int
     MOTION_FIELD_NUMBER: _builtins.int
     FEED_FORWARD_FIELD_NUMBER: _builtins.int
+    DIRECTION_FIELD_NUMBER: _builtins.int
     command_id: _builtins.int
     angle: _builtins.int
+    """How far to turn from where the wheel is now. Nearer and further turns are out of the hands' reach: about 0.50 to
+    1.57 rad of the rim, power-tools teleoperation of the HUBO2+.
+    """
     motion: Global___SteeringCommand.Motion.ValueType
     feed_forward: _builtins.float
+    direction: Global___SteeringCommand.Direction.ValueType
     @_builtins.property
     def rim_a(self) -> _geometry_pb2.Point:
         """In base_link."""
@@ -66,10 +84,11 @@ class SteeringCommand(_message.Message):
         angle: _builtins.int | None = ...,
         motion: Global___SteeringCommand.Motion.ValueType | None = ...,
         feed_forward: _builtins.float | None = ...,
+        direction: Global___SteeringCommand.Direction.ValueType | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["angle", b"angle", "command_id", b"command_id", "feed_forward", b"feed_forward", "motion", b"motion", "rim_a", b"rim_a", "rim_b", b"rim_b", "rim_c", b"rim_c"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["angle", b"angle", "command_id", b"command_id", "direction", b"direction", "feed_forward", b"feed_forward", "motion", b"motion", "rim_a", b"rim_a", "rim_b", b"rim_b", "rim_c", b"rim_c"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["angle", b"angle", "command_id", b"command_id", "feed_forward", b"feed_forward", "motion", b"motion", "rim_a", b"rim_a", "rim_b", b"rim_b", "rim_c", b"rim_c"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["angle", b"angle", "command_id", b"command_id", "direction", b"direction", "feed_forward", b"feed_forward", "motion", b"motion", "rim_a", b"rim_a", "rim_b", b"rim_b", "rim_c", b"rim_c"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     def WhichOneof(self, oneof_group: _Never) -> None: ...
 
