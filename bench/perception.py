@@ -30,7 +30,7 @@ from messages.proto.straitlink.view_pb2 import (
     ViewRequest,
 )
 from perception_server.answer import answer
-from perception_server.decode import decode_view
+from perception_server.decode import DecodedView, decode_view, grid_of
 from perception_server.frames import FloatArray, StampedTransform, compose, inverse_poses
 from perception_server.history import History, HistorySnapshot
 from perception_server.scan_geometry import RawScan, ScanPlacement
@@ -221,22 +221,31 @@ def accuracy(seed: int) -> list[Accuracy]:
 def _height_accuracy(snapshot: HistorySnapshot, seed: int) -> Accuracy:
     request = ViewRequest(preset="height_map_scene")
     view = decode_view(answer(request, snapshot, _PLENTY).SerializeToString())
-    wish = view_wish(request)
-    grid = wish.grid(wish.finest.resolution)
+    low, high = height_bounds(view, seed)
+    assert view.values is not None
+    judged = np.isfinite(view.values) & (high < view_wish(request).high_m[2])
+    values = view.values[judged].astype(np.float64)
+    return _judged("height_map_scene", seed, values, low[judged], high[judged])
+
+
+def height_bounds(view: DecodedView, seed: int) -> tuple[FloatArray, FloatArray]:
+    """The scene's lowest and highest point in each cell of a height map, by nine rays from above.
+
+    (rows, columns) each, metres along the view's z; the view's x and y must be level.
+    """
+    grid = grid_of(view)
     x, y = np.meshgrid(np.arange(grid.columns), np.arange(grid.rows))
     heights = []
     for across in (0.01, 0.5, 0.99):
         for along in (0.01, 0.5, 0.99):
-            cell = [grid.min_x_m + (x + across) * 0.03, grid.min_y_m + (y + along) * 0.03, np.zeros(x.shape)]
-            origins = np.stack(cell, axis=-1).reshape(-1, 3) @ view.world_from_view[:3, :3].T
-            origins += view.world_from_view[:3, 3]
+            in_x_m = grid.min_x_m + (x + across) * grid.resolution_m
+            in_y_m = grid.min_y_m + (y + along) * grid.resolution_m
+            origins = np.stack([in_x_m, in_y_m, np.zeros(x.shape)], axis=-1).reshape(-1, 3)
+            origins = origins @ view.world_from_view[:3, :3].T + view.world_from_view[:3, 3]
             origins[:, 2] = 10.0
             down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
             heights.append(10.0 - _truth(seed, origins, down).reshape(x.shape) - view.world_from_view[2, 3])
-    low, high = np.min(heights, axis=0), np.max(heights, axis=0)
-    assert view.values is not None
-    judged = np.isfinite(view.values) & (high < wish.high_m[2])
-    return _judged("height_map_scene", seed, view.values[judged], low[judged], high[judged])
+    return np.min(heights, axis=0), np.max(heights, axis=0)
 
 
 def _range_accuracy(snapshot: HistorySnapshot, seed: int) -> Accuracy:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from bench.machine import provenance
 from bench.view_images import image_rows
+from bench.view_overview import overview_rows
 from bench.view_points import cloud_rows, octree_rows
 from bench.view_rows import Coded, Row, coded, row
 from perception_server.view_codec import decode_map, encode_map, warm_up
@@ -35,7 +36,7 @@ FIDELITIES: dict[str, dict[str, Any]] = {
     "5 mm": {"max_error_m": 0.005},
     "1 mm": {"max_error_m": 0.001},
 }
-HEADER = ("product", "codec", "views", "bytes", "ratio", "encode ms", "decode ms", "paper bytes")
+HEADER = ("product", "codec", "views", "bytes", "ratio", "encode ms", "decode ms", "paper bytes", "p95 mm")
 COLOURS = ("#8a8f98", "#4c78a8", "#e4572e", "#54a24b")
 
 
@@ -78,7 +79,13 @@ def map_rows() -> Iterator[Row]:
         yield row(f"{MAP_KINDS[kind]} overview", "context", overview, raw)
 
 
-PRODUCTS: tuple[Callable[[], Iterator[Row]], ...] = (map_rows, cloud_rows, octree_rows, image_rows)
+PRODUCTS: tuple[Callable[[], Iterator[Row]], ...] = (
+    map_rows,
+    overview_rows,
+    cloud_rows,
+    octree_rows,
+    image_rows,
+)
 
 
 def table(rows: list[Row]) -> str:
@@ -86,9 +93,10 @@ def table(rows: list[Row]) -> str:
     lines = [f"{HEADER[0]:28}{HEADER[1]:12}" + "".join(f"{name:>12}" for name in HEADER[2:])]
     for r in rows:
         paper = "" if r.paper_bytes is None else f"{r.paper_bytes:,}"
+        off = "" if r.p95_mm is None else f"{r.p95_mm:.1f}"
         lines.append(
             f"{r.product:28}{r.codec:12}{r.views:12}{r.bytes:12,.0f}{r.ratio:12.3f}"
-            f"{r.encode_ms:12.1f}{r.decode_ms:12.1f}{paper:>12}"
+            f"{r.encode_ms:12.1f}{r.decode_ms:12.1f}{paper:>12}{off:>12}"
         )
     return "\n".join(lines)
 

@@ -30,6 +30,7 @@ class Row:
     encode_ms: float
     decode_ms: float
     paper_bytes: int | None = None
+    p95_mm: float | None = None  # error to the true surface away from edges, where that is known
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from .palette import used_codes
 from .quantisation import LEAST_BITS, MOST_BITS, Codes, dequantise, lattice_for, quantise
 
 PAPER_BITS = 8
-_WARM_UP_CRC = 0xD338AC97
+_WARM_UP_CRC = 0x73B3A912
 _NAMES = {
     "zlib": CodecId.MAP_ZLIB,
     "serpentine": CodecId.MAP_SERPENTINE,

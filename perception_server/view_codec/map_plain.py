@@ -21,7 +21,7 @@ from .palette import from_ranks, to_ranks
 from .quantisation import HOLE, Codes
 
 _ZLIB_LEVEL = 9
-_FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0, "lp": 0, "pb": 0, "dict_size": 1 << 18}]
+FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0, "lp": 0, "pb": 0, "dict_size": 1 << 18}]
 _WORTH_TRYING = 1.08  # above the least entropy
 _PLANES = 3  # bytes of a code above 255, or of its difference, which takes 17 bits
 _BLOCK_ROWS, _BLOCK_COLUMNS = 4, 2
@@ -182,12 +182,12 @@ def _serpentine(grid: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _deflated(data: bytes) -> bytes:
-    return lzma.compress(data, format=lzma.FORMAT_RAW, filters=_FILTERS)
+    return lzma.compress(data, format=lzma.FORMAT_RAW, filters=FILTERS)
 
 
 def _inflated(stream: bytes, most_bytes: int) -> bytes:
     """The content of exactly one LZMA stream. Raises DecodeError for anything else."""
-    reader = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=_FILTERS)
+    reader = lzma.LZMADecompressor(format=lzma.FORMAT_RAW, filters=FILTERS)
     try:
         content = reader.decompress(stream, most_bytes + 1)
         if len(content) <= most_bytes and not reader.eof and not reader.needs_input:

@@ -17,6 +17,7 @@ from .map_header import MAX_LEVELS
 LEAST_BITS = 2
 MOST_BITS = 16
 HOLE = -1
+_PHASES = 64  # places of the lattice that are tried, in a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +61,30 @@ def lattice_for(values_m: NDArray[np.float32], *, max_error_m: float | None, bit
     assert max_error_m is not None
     rounding = float(np.spacing(np.float32(max(abs(low), abs(high)))))  # of the decoded float32
     step = np.nextafter(np.float32(2 * (max_error_m - rounding)), np.float32(0))
-    levels = int((high - low) / float(step) + 0.5) + 1 if step > 0 else MAX_LEVELS + 1
+    origin = _centred_origin(values_m, float(step)) if step > 0 else low
+    levels = int((high - origin) / float(step) + 0.5) + 1 if step > 0 else MAX_LEVELS + 1
     if levels > MAX_LEVELS:
         raise EncodeError(
             f"max_error_m = {max_error_m} over {high - low:.3f} m of range takes {levels} codes; "
             f"the most is {MAX_LEVELS}"
         )
-    return Lattice(low, float(step), levels)
+    return Lattice(origin, float(step), levels)
+
+
+def _centred_origin(values_m: NDArray[np.float32], step_m: float) -> float:
+    """The origin, within half a step of the lowest value, that moves the cells least, by their squares.
+
+    What is flat, as floors are, then lies on a code, and not between two of which noise would pick one,
+    nor beside one by the same error everywhere. Counted in whole numbers, so that it is the same anywhere.
+    """
+    steps = (values_m.astype(np.float64) - float(values_m.min())) / step_m
+    place = np.floor((steps - np.floor(steps)) * _PHASES).astype(np.int64)
+    population = np.bincount(np.minimum(place, _PHASES - 1), minlength=_PHASES)
+    off = (np.arange(_PHASES)[:, None] - np.arange(_PHASES) + _PHASES // 2) % _PHASES - _PHASES // 2
+    moved = np.square(off) @ population
+    phases = sorted(range(_PHASES // 2 + 1 - _PHASES, _PHASES // 2), key=abs)
+    phase = min(phases, key=lambda phase: int(moved[phase]))
+    return float(np.float32(float(values_m.min()) + phase / _PHASES * step_m))
 
 
 def quantise(values_m: NDArray[np.float32], lattice: Lattice) -> Codes:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import pytest
@@ -149,6 +151,35 @@ def test_quantisation_tables_of_another_encoder_are_kept() -> None:
     at = jpeg.index(b"\xff\xdb") + 5
     jpeg[at : at + 64] = bytes(range(3, 67))
     assert_same_picture(bytes(jpeg), unpack_jpeg(pack_jpeg(bytes(jpeg))))
+
+
+def four_components() -> bytes:
+    """Eight by eight pixels of CMYK, each of the four blocks a difference of 0 (00) and an end (1010)."""
+    grey = jpeg_of(np.full((8, 8), 128, np.uint8))
+    frame, scan = grey.index(b"\xff\xc0"), grey.index(b"\xff\xda")
+    components = b"".join(bytes([number, 0x11, 0]) for number in range(1, 5))
+    sof = b"\xff\xc0\x00\x14\x08\x00\x08\x00\x08\x04" + components
+    sos = b"\xff\xda\x00\x0e\x04" + b"".join(bytes([number, 0]) for number in range(1, 5)) + b"\x00\x3f\x00"
+    return grey[:frame] + sof + grey[frame + 13 : scan] + sos + bytes.fromhex("28a28a") + b"\xff\xd9"
+
+
+def arithmetic_coded() -> bytes:
+    """An arithmetic-coded frame: SOF9 and a DAC segment in place of Huffman's."""
+    jpeg = jpeg_of(picture(64, 48))
+    conditioning = b"\xff\xcc\x00\x06\x00\x10\x10\x05"
+    at = jpeg.index(b"\xff\xda")
+    return (jpeg[:at] + conditioning + jpeg[at:]).replace(b"\xff\xc0", b"\xff\xc9", 1)
+
+
+@pytest.mark.parametrize("codec", [None, CodecId.IMAGE_JPEG, CodecId.IMAGE_JPEG_CONTEXT])
+@pytest.mark.parametrize("make", [four_components, arithmetic_coded])
+def test_a_kind_of_jpeg_that_is_not_modelled_travels_as_it_is(
+    make: Callable[[], bytes], codec: CodecId | None
+) -> None:
+    jpeg = make()
+    message = pack_jpeg(jpeg, codec=codec)
+    assert message[0] == CodecId.IMAGE_FILE
+    assert unpack_jpeg(message) == jpeg
 
 
 @pytest.mark.parametrize(

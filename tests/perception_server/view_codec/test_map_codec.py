@@ -133,6 +133,18 @@ def test_denoising_is_told_and_lessens_the_error_to_the_truth() -> None:
     assert np.abs(smooth.values - noisy).max() <= smooth.max_error_m + 1e-9
 
 
+@pytest.mark.parametrize("height_m", [0.0, 0.0031, 0.0049, 0.0097, -0.0123])
+def test_a_floor_lies_on_a_code_wherever_the_lowest_cell_is(height_m: float) -> None:
+    rng = np.random.default_rng(4)
+    values = rng.uniform(-1, 1, (60, 80)).astype(np.float32)
+    floor = np.zeros(values.shape, np.bool_)
+    floor[10:50, 10:70] = True
+    values[floor] = height_m + rng.normal(0, 0.001, int(floor.sum()))
+    view = decode_map(encode_map(values, max_error_m=0.01))
+    assert abs(float(np.median((view.values - values)[floor]))) < 0.0015
+    assert view.max_error_m <= 0.01
+
+
 def test_an_overview_has_no_terraces() -> None:
     y, x = np.mgrid[:60, :80]
     truth = 0.0021 * x - 0.0013 * y
