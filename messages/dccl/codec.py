@@ -15,7 +15,7 @@ from messages.dccl.custom import FieldCodecs
 from messages.dccl.decoder import Decoder, compile_decoder
 from messages.dccl.encoder import Policy, compile_encoder
 from messages.dccl.encryption import body_cipher
-from messages.dccl.errors import DecodeError, EncodeError, SchemaError
+from messages.dccl.errors import DecodeError, EncodeError, SchemaError, told_of
 from messages.dccl.fields import Field, Message, MessageWire
 from messages.dccl.info import SchemaInfo, describe
 from messages.dccl.limits import Deviation, Deviations, Treatment
@@ -101,7 +101,7 @@ class Codec(Generic[M]):
         return describe(self.schema)
 
     def encode(self, message: M) -> bytes:
-        """The message's bytes; EncodeError names the field, value and bound that do not agree."""
+        """The message's bytes; EncodeError names the message, field, value and bound that do not agree."""
         return self._encode_into(message, Deviations([]))
 
     def encode_checked(self, message: M) -> Encoded:
@@ -139,7 +139,10 @@ class Codec(Generic[M]):
 
     def encode_many(self, columns: Columns) -> Batch.Rows:
         """Many messages at once from columns of numbers: one row of bytes for each. See batch.Batch."""
-        return self._batch_codec().encode(columns)
+        try:
+            return self._batch_codec().encode(columns)
+        except EncodeError as error:
+            raise EncodeError(told_of(self.schema.name, error)) from error
 
     def decode_many(self, rows: Batch.Rows, now_ns: int | None = None) -> dict[str, Batch.Column]:
         """Columns of numbers from rows of bytes. See batch.Batch."""
@@ -159,8 +162,8 @@ class Codec(Generic[M]):
         self._restart()
         try:
             data = self._encode(message, deviations)
-        except ConditionError as error:
-            raise EncodeError(str(error)) from error
+        except (EncodeError, ConditionError) as error:
+            raise EncodeError(told_of(self.schema.name, error)) from error
         for use in self._adaptive:
             use.commit()
         if self._cipher is None:
@@ -186,8 +189,8 @@ class Codec(Generic[M]):
         self._restart()
         try:
             decoded = decoder(data, now_ns)
-        except (ConditionError, ValueError, OverflowError) as error:
-            raise DecodeError(f"{self.schema.name}: {error}") from error
+        except (DecodeError, ConditionError, ValueError, OverflowError) as error:
+            raise DecodeError(told_of(self.schema.name, error)) from error
         for use in self._adaptive:
             use.commit()
         return decoded  # type: ignore[return-value]

@@ -23,3 +23,9 @@ class EncodeError(DcclError):
 
 class DecodeError(DcclError):
     """Bytes that are not a whole, valid message of the type."""
+
+
+def told_of(message: str, error: Exception) -> str:
+    """An error's text with the name of the message that it befell, unless it says so by itself."""
+    text = str(error)
+    return text if message in text else f"{message}: {text}"

@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 from google.protobuf.message import Message as ProtobufMessage
 
 from messages.dccl import Codec, Encoded
-from messages.dccl.errors import EncodeError
+from messages.dccl.errors import EncodeError, told_of
 from messages.dccl.limits import Deviations
 from messages.delta.course import Expectation
 from messages.delta.lanes import lanes_of
@@ -52,7 +52,10 @@ class DeltaEncoder(Generic[M]):
         """The message's bytes, with a note of each value that was clamped or sent as unset."""
         self._codec.check(message)
         deviations = Deviations([])
-        values = self._lanes.gather(message, deviations)
+        try:
+            values = self._lanes.gather(message, deviations)
+        except EncodeError as error:
+            raise EncodeError(told_of(self._codec.schema.name, error)) from error
         known = self._references(number)
         data, leans = self._shortest(values, known)
         if known is not None and len(data) > self.max_size:

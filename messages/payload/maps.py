@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from google.protobuf.message import Message
 
+from messages.payload.affordance_map import SceneUpdateMap
 from messages.payload.bounded import PayloadMap
 from messages.payload.joint_maps import joint_maps
 from messages.payload.pivot_map import PivotPlanMap
@@ -20,6 +21,7 @@ _MAPS: Mapping[str, Sequence[PayloadMap]] = {
     "straitlink.bounded.Wrench": WRENCH_MAPS,
     "straitlink.bounded.MotionPlan": MOTION_PLAN_MAPS,
     "straitlink.bounded.FootstepPlan": FOOTSTEP_PLAN_MAPS,
+    "straitlink.bounded.Affordance": (SceneUpdateMap(),),
     "straitlink.bounded.PivotPlan": (PivotPlanMap(),),
     "straitlink.bounded.ProcessReport": (ProcessStatusMap(),),
 }

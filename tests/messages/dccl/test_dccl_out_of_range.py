@@ -26,10 +26,11 @@ def message(**fields: Any) -> Message:
 
 @pytest.mark.parametrize("value", [1.02, -1.02, math.inf, -math.inf, math.nan])
 @pytest.mark.parametrize(("field", "path"), [("need", "need"), ("may", "may"), ("arm", "arm[1]")])
-def test_a_strict_codec_names_field_value_and_bound(field: str, path: str, value: float) -> None:
+def test_a_strict_codec_names_message_field_value_and_bound(field: str, path: str, value: float) -> None:
     sent = message(**{field: [0.5, value] if field == "arm" else value})
     with pytest.raises(EncodeError) as error:
         Codec(T).encode(sent)
+    assert str(error.value).startswith("test.T: ")
     assert path in str(error.value)
     assert f"{value:.1f}"[:3] in str(error.value)
     assert "-1 to 1" in str(error.value)

@@ -8,6 +8,10 @@ from functools import cache
 from typing import TypeVar
 
 import pytest
+from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
+from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,6 +45,7 @@ from messages.proto.straitlink.emergency_stop_pb2 import EmergencyStop
 from messages.proto.straitlink.footstep_plan_pb2 import FootstepPlan
 from messages.proto.straitlink.heartbeat_pb2 import Heartbeat
 
+FOXGLOVE_SCENE = "application/protobuf;foxglove.SceneUpdate"
 CAPTURE_NS = 1_750_000_000_123_456_789
 LIMIT = 1_000_000
 V = TypeVar("V")
@@ -208,6 +213,58 @@ def test_a_pivot_plan_that_would_tip_the_object_is_refused(
         plan.steps.add(corner=PivotPlan.Corner.Value(corner), angle=angle)
     with pytest.raises(PayloadError, match=reason):
         encoding(name).encode(Payload(plan.SerializeToString(), f"application/protobuf;{name}"))
+
+
+def scene(**changes: object) -> SceneUpdate:
+    pair = KeyValuePair
+    valve = SceneEntity(id="affordance/7", frame_id="base_link", arrows=[ArrowPrimitive()])
+    valve.metadata.extend([pair(key="parameter_0", value="0.25"), pair(key="template_id", value="3")])
+    valve.metadata.add(key="parameter_1", value="-1.5")
+    valve.arrows[0].pose.position.x, valve.arrows[0].pose.orientation.w = 0.8, 2 * 0.7
+    for field, value in changes.items():
+        valve.ClearField(field)  # type: ignore[arg-type]
+        valve.MergeFrom(SceneEntity(**{field: value}))  # type: ignore[arg-type]
+    return SceneUpdate(entities=[valve])
+
+
+def test_an_affordance_is_an_arrow_in_foxglove_s_scene() -> None:
+    name = "straitlink.bounded.Affordance"
+    data = encoding(name).encode(Payload(scene().SerializeToString(), FOXGLOVE_SCENE)).data
+    assert len(data) <= 18
+    payload = encoding(name).decode(data, FOXGLOVE_SCENE, LIMIT, CAPTURE_NS)
+    (valve,) = SceneUpdate.FromString(payload.data).entities
+    told = {pair.key: pair.value for pair in valve.metadata}
+    assert told == {"template_id": "3", "parameter_0": "0.25", "parameter_1": "-1.5"}
+    assert (valve.id, valve.frame_id) == ("affordance/7", "base_link")
+    pose = valve.arrows[0].pose
+    assert (pose.position.x, pose.orientation.w) == (pytest.approx(0.8), 1)
+    assert encoding(name).encode(payload).data == data
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [
+        (SceneUpdate(), "0 entities and 0 deletions is not one affordance"),
+        (scene(id="valve"), "id = 'valve' is not a number"),
+        (scene(id="affordance/999"), "affordance_id = 999 is not a value within its bounds 0 to 255"),
+        (scene(frame_id="map"), "frame_id = 'map' is not 'base_link'"),
+        (scene(arrows=[]), "has 0 arrows"),
+        (scene(arrows=[ArrowPrimitive()]), "no orientation"),
+        (scene(metadata=[]), "template_id = '' is not a number"),
+        (scene(metadata=[KeyValuePair(key="colour", value="red")]), "template_id"),
+        (
+            scene(metadata=[KeyValuePair(key=k, value="1") for k in ("template_id", "colour")]),
+            r"\['colour'\] lack parameter_0",
+        ),
+        (
+            scene(metadata=[KeyValuePair(key="template_id", value="1"), KeyValuePair(key="parameter_0", value="x")]),
+            "parameter_0 = 'x' is not a number",
+        ),
+    ],
+)  # fmt: skip
+def test_a_scene_that_is_no_affordance_is_refused(sent: SceneUpdate, reason: str) -> None:
+    with pytest.raises(PayloadError, match=reason):
+        encoding("straitlink.bounded.Affordance").encode(Payload(sent.SerializeToString(), FOXGLOVE_SCENE))
 
 
 @pytest.mark.parametrize(
