@@ -22,7 +22,6 @@ from .jpeg_file import JpegFrame
 from .jpeg_model import (
     COUNT_KINDS,
     INPUTS,
-    MOST_DECISIONS,
     VALUE_SETS,
     Model,
     code_count,
@@ -33,6 +32,7 @@ from .jpeg_scan import LEAST_DC, MOST_AC, MOST_DC
 from .mixer import rough
 
 MAX_BLOCKS = 1 << 14  # a 4:2:0 picture of 640x480 has 7,200
+MOST_DECISIONS = 2_500_000  # of a message: half a second, and 15 times what 512x272 pixels take
 _MOST_BLOCK_BYTES = 128  # twice what quality 100 takes
 _INTERIOR = 49
 _COUNT_BITS, _EDGE_COUNT_BITS = 6, 3

@@ -12,7 +12,6 @@ from .mixer import Mixer, code_decision, fresh_mixer
 
 INPUTS = 6
 VALUE_SETS = 5  # sets of weights for a number: zero or not, above 1, above 2, above more, sign
-MOST_DECISIONS = 2_500_000  # of a message: half a second, and 15 times what 512x272 pixels take
 LONGEST_RUN = 14
 _GAMMA_BITS = 12  # above all differences of two DCs
 _SLOT_BITS = 14

@@ -22,7 +22,7 @@ from .quantisation import HOLE, Codes
 
 _ZLIB_LEVEL = 9
 FILTERS = [{"id": lzma.FILTER_LZMA1, "preset": 9, "lc": 0, "lp": 0, "pb": 0, "dict_size": 1 << 18}]
-_WORTH_TRYING = 1.08  # above the least entropy
+_WORTH_TRYING = 1.02  # above the least entropy
 _PLANES = 3  # bytes of a code above 255, or of its difference, which takes 17 bits
 _BLOCK_ROWS, _BLOCK_COLUMNS = 4, 2
 
