@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from perception_server.compiled import compiled
 from perception_server.frames import FloatArray
+from perception_server.sightlines import drop_what_is_beneath
 
 AGREE_M = 0.05  # returns of a cell within this are of one surface: +-2.5 sigma of a scanner
 LEVEL_M = 0.04  # thickness of a horizontal surface as seen in a cell: the noise left in its height
@@ -27,6 +28,8 @@ COARSE_M = 0.1  # larger cells than this hold more than noise moves: the upper l
 FACE_MARGIN_M = 0.008  # a face must stand this far inside a cell to be its own: most of the noise
 FACE_SHARE = 0.6  # of the most returns between levels that a cell nearby has
 BEHIND_SHARE = 0.5  # of a cell's own, in the cell behind it: the face stands on their border
+STRAY_SHARE = 0.25  # of a neighbour's returns above its low level
+LONE = 1.0  # votes: of a single return
 FEW = 3  # returns that may all be noise
 
 _HOLE, _FLAT, _MIXED, _FACE = 0, 1, 2, 3
@@ -60,20 +63,22 @@ class Grid:
 
 
 def render_height_map(
-    points_m: NDArray[np.float32], grid: Grid, sensor_m: tuple[float, float] = (0.0, 0.0)
+    points_m: NDArray[np.float32], grid: Grid, origins_m: NDArray[np.float32], stops: NDArray[np.int64]
 ) -> NDArray[np.float32]:
     """(rows, columns) heights in metres, NaN for holes; row 0 at the lowest y, column 0 at the lowest x.
 
     points_m: (N, 3) in the view's frame, of the grid with its margin; others are passed over.
-    sensor_m: x and y of where they were seen from, on average: a solid is on a face's far side.
+    origins_m: (S, 3), where each scan was taken from; stops: (S,), where in points_m each one's points end.
     """
     wide = grid.with_margin()
     cells = np.empty(len(points_m), dtype=np.int32)
+    lowest = np.zeros(wide.columns * wide.rows, dtype=np.int32)
     levels = _levels(
-        points_m, wide.min_x_m, wide.min_y_m, 1 / wide.resolution_m, wide.columns, wide.rows, cells
+        points_m, wide.min_x_m, wide.min_y_m, 1 / wide.resolution_m, wide.columns, wide.rows, cells, lowest
     )
     parts = _parts(points_m, cells, levels, wide.min_x_m, wide.min_y_m, wide.resolution_m, wide.columns)
     kinds = _kinds(levels, parts, wide.columns, wide.rows, wide.resolution_m)
+    sensor_m = origins_m.mean(axis=0).tolist() if len(origins_m) else (0.0, 0.0)
     seen_from = (
         (sensor_m[0] - wide.min_x_m) / wide.resolution_m - 0.5,
         (sensor_m[1] - wide.min_y_m) / wide.resolution_m - 0.5,
@@ -81,6 +86,10 @@ def render_height_map(
     heights = _heights(
         levels, parts, kinds, wide.columns, wide.rows, *seen_from, grid.resolution_m > COARSE_M
     )
+    if grid.resolution_m <= COARSE_M:
+        tops = levels[:, _HIGHEST].reshape(heights.shape)
+        corner = (wide.min_x_m, wide.min_y_m)
+        drop_what_is_beneath(points_m, lowest, heights, tops, origins_m, stops, *corner, wide.resolution_m)
     return np.ascontiguousarray(heights[1:-1, 1:-1])
 
 
@@ -93,8 +102,12 @@ def _levels(
     columns: int,
     rows: int,
     cells: NDArray[np.int32],
+    lowest: NDArray[np.int32],
 ) -> FloatArray:
-    """(cells, 4): count, sum, lowest and highest of the heights; fills cells (N,), -1 = outside."""
+    """(cells, 4): count, sum, lowest and highest of the heights.
+
+    Fills cells (N,), -1 = outside, and lowest (cells,), the index of each one's lowest return.
+    """
     levels = np.zeros((rows * columns, 4))
     levels[:, _LOWEST] = np.inf
     levels[:, _HIGHEST] = -np.inf
@@ -109,7 +122,9 @@ def _levels(
         z = points[i, 2]
         levels[cell, _COUNT] += 1
         levels[cell, _SUM] += z
-        levels[cell, _LOWEST] = min(levels[cell, _LOWEST], z)
+        if z < levels[cell, _LOWEST]:
+            levels[cell, _LOWEST] = z
+            lowest[cell] = i
         levels[cell, _HIGHEST] = max(levels[cell, _HIGHEST], z)
     return levels
 
@@ -262,9 +277,23 @@ def _heights(
                     behind = parts[r * columns + c, 4]
                     if behind > 0 and behind >= BEHIND_SHARE * parts[cell, 4]:
                         choice = 0
+            if choice > 0 and _is_outweighed(parts, row, column, columns, rows):
+                choice = 0
             if choice != 0:
                 heights[row, column] = top if choice > 0 else low
     return heights
+
+
+@compiled
+def _is_outweighed(parts: FloatArray, row: int, column: int, columns: int, rows: int) -> bool:
+    """Whether a neighbour has so many more returns above its low level that these here are its noise."""
+    own = parts[row * columns + column, 2] + parts[row * columns + column, 4]
+    for r in range(max(0, row - 1), min(rows, row + 2)):
+        for c in range(max(0, column - 1), min(columns, column + 2)):
+            part = parts[r * columns + c]
+            if own < STRAY_SHARE * (part[2] + part[4]):
+                return True
+    return False
 
 
 @compiled
@@ -315,8 +344,10 @@ def _is_supported(count: float, around: FloatArray) -> bool:
         return False
     if count > FEW:
         return True
+    if agree <= LONE and spanned > 0:  # as may be one more stray of the same face
+        return False
     if agree == 0:
-        return not (spanned > 0 or votes >= 3)
+        return bool(votes < 3)
     return not (count <= 2 and ((votes - agree >= 3 and votes - agree >= agree) or mixed >= 4))
 
 

@@ -53,15 +53,17 @@ class Region:
 class ViewPoints:
     """The points of a region, in the view's frame, in the order in which they were taken.
 
-    points_m: (N, 3) float32. sources: how many scans, clouds or disparity images lie in the window.
-    start_ns..end_ns: what these span; 0 without any. sensor_m: where they were taken from, on average.
+    points_m: (N, 3) float32. sources: how many scans, clouds or disparity images lie in the window (S).
+    start_ns..end_ns: what these span; 0 without any. origins_m: (S, 3) float32, where the sensor was.
+    stops: (S,) int64, where in points_m each one's points end.
     """
 
     points_m: NDArray[np.float32]
     sources: int
     start_ns: int
     end_ns: int
-    sensor_m: tuple[float, float, float]
+    origins_m: NDArray[np.float32]
+    stops: NDArray[np.int64]
 
 
 def collect(views: tuple[BlockView, ...], window: Window, region: Region) -> ViewPoints:
@@ -73,10 +75,12 @@ def collect(views: tuple[BlockView, ...], window: Window, region: Region) -> Vie
     rotation = np.ascontiguousarray(region.view_from_world[:3, :3])
     planes = region.planes()
     range2 = np.array([region.min_range_m, region.max_range_m], dtype=np.float32) ** 2
-    count = 0
+    origins_m = np.empty((sum(scans.size for _, scans in picked), 3), dtype=np.float32)
+    stops = np.empty(len(origins_m), dtype=np.int64)
+    count = done = 0
     for view, scans in picked:
-        block = view.block
-        origins = (block.origin_m[scans] @ rotation.T + region.view_from_world[:3, 3]).astype(np.float32)
+        block, rows = view.block, slice(done, done + scans.size)
+        origins_m[rows] = block.origin_m[scans] @ rotation.T + region.view_from_world[:3, 3]
         count = _collect_block(
             block.points_m,
             block.flags,
@@ -84,26 +88,19 @@ def collect(views: tuple[BlockView, ...], window: Window, region: Region) -> Vie
             block.first_run,
             block.run_bounds_m,
             scans,
-            origins,
+            origins_m[rows],
             rotation.astype(np.float32),
             planes,
             range2,
             region.rejected_flags,
             out,
             count,
+            stops[rows],
         )
-    origins_m = [view.block.origin_m[scans] for view, scans in picked]
-    mean_m = np.concatenate(origins_m).mean(axis=0) if origins_m else np.zeros(3)
-    x, y, z = (rotation @ mean_m + region.view_from_world[:3, 3]).tolist()
+        done += scans.size
     starts = [int(view.block.start_ns[scans].min()) for view, scans in picked]
     ends = [int(view.block.end_ns[scans].max()) for view, scans in picked]
-    return ViewPoints(
-        out[:count],
-        sum(scans.size for _, scans in picked),
-        min(starts, default=0),
-        max(ends, default=0),
-        (x, y, z),
-    )
+    return ViewPoints(out[:count], done, min(starts, default=0), max(ends, default=0), origins_m, stops)
 
 
 def _scans_within(view: BlockView, window: Window) -> NDArray[np.intp]:
@@ -132,10 +129,12 @@ def _collect_block(
     rejected: int,
     out: NDArray[np.float32],
     count: int,
+    stops: NDArray[np.int64],
 ) -> int:
     """Append a block's points of the region to out (N, 3) at count; returns the new count.
 
     scans: which; origins (len(scans), 3): their origins in the view's frame. range2 (2,): bounds squared.
+    stops (len(scans),): filled with the count after each.
     """
     r = rotation
     all_ranges = range2[0] <= 0 and range2[1] == np.inf
@@ -161,6 +160,7 @@ def _collect_block(
                 if place == INSIDE or _is_inside(x, y, z, planes):
                     out[count, 0], out[count, 1], out[count, 2] = x, y, z
                     count += 1
+        stops[s] = count
     return count
 
 

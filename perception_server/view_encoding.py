@@ -45,7 +45,9 @@ def encode_view(
     if wish.form == ViewRequest.FORMAT_HEIGHT_MAP:
         grid = wish.grid(fidelity.resolution)
         view.min_x_m, view.min_y_m, view.resolution_m = grid.min_x_m, grid.min_y_m, grid.resolution_m
-        _put_map(view, render_height_map(points.points_m, grid, points.sensor_m[:2]), wish, fidelity)
+        _put_map(
+            view, render_height_map(points.points_m, grid, points.origins_m, points.stops), wish, fidelity
+        )
     elif wish.form == ViewRequest.FORMAT_RANGE_MAP:
         projection = wish.shrunk_projection(fidelity.resolution)
         view.horizontal_fov_rad = projection.horizontal_fov_rad
