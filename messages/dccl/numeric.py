@@ -136,6 +136,8 @@ class Numeric:
 
     def is_valid_wire(self, wire: int) -> bool:
         """Whether an encoder can have sent this integer."""
+        if self.is_affine:  # the bounds themselves are sent, also where rounding noise puts them outside
+            return wire < self.offset or self.first <= wire - self.offset + self.origin <= self.last
         value = self.value(wire)
         return value is None or self.minimum <= value <= self.maximum or wire == self.offset
 

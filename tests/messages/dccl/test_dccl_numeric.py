@@ -54,6 +54,16 @@ def test_an_affine_field_sends_its_index_less_its_origin(case: tuple[Numeric, fl
     assert short == expected
 
 
+@given(floats_with_bounds())
+@settings(deadline=None, max_examples=500, derandomize=True)
+def test_a_field_s_bounds_are_valid_on_the_wire_and_nothing_beyond_them(case: tuple[Numeric, float]) -> None:
+    n, _ = case
+    if not n.is_affine:
+        return
+    assert n.is_valid_wire(n.greatest_wire) and n.is_valid_wire(n.first - n.origin + n.offset)
+    assert not n.is_valid_wire(n.greatest_wire + 1)
+
+
 @given(floats_with_bounds(), st.data())
 @settings(deadline=None, max_examples=1000, derandomize=True)
 def test_an_affine_field_decodes_to_its_index_times_the_resolution(

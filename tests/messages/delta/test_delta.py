@@ -155,6 +155,17 @@ def test_messages_that_overtake_each_other_decode_if_their_references_are_there(
     assert decoder.decode(sent[again], again, NOW_NS) == through_the_codec(JOINTS, joints_at(again))
 
 
+def test_a_joint_at_its_limit_decodes_where_the_limit_is_no_exact_double() -> None:
+    """0.4700568 is 1394 * 0.0003372, which comes out as 0.47005680000000005."""
+    bounds = {"min": -0.9101028, "max": 0.4700568, "resolution": 0.0003372}
+    codec = Codec(declare(Declared("x", "double", "optional", bounds)))
+    encoder, decoder = DeltaEncoder(codec), DeltaDecoder(codec)
+    for n, x in enumerate([0.1, 0.4700568, -0.9101028, 0.4700568, None]):
+        sent = codec.message_type(x=x)
+        assert decoder.decode(encoder.encode(sent, n), n) == through_the_codec(codec, sent)
+        encoder.on_acknowledged(n)
+
+
 def test_a_schema_of_plain_dccl_works_as_well() -> None:
     encoder, decoder = DeltaEncoder(PLAIN), DeltaDecoder(PLAIN)
     for n, (x, y) in enumerate([(0, None), (0.001, 0), (9.9994, 100), (-10, None), (-10, 7)]):
