@@ -26,6 +26,7 @@ class FaultKind(StrEnum):
     CLOCK = "clock"  # its wall clock is stepped by an hour
     MTU = "mtu"  # large packets vanish in both directions from now on
     HOSTILE = "hostile"  # somebody repeats, cuts, alters and invents datagrams
+    RELAY = "relay"  # somebody is faster than the link, and passes all on from an address of his own
 
 
 Side = Literal["robot", "operator"]
@@ -46,7 +47,7 @@ def draw_faults(rng: random.Random) -> list[Fault]:
     faults: list[Fault] = []
     at_ns = 0
     while (at_ns := at_ns + round(rng.expovariate(1 / _MEAN_NS_BETWEEN_FAULTS))) < STORM_NS:
-        kind = rng.choices(list(FaultKind), weights=(5, 2, 1, 1, 3))[0]
+        kind = rng.choices(list(FaultKind), weights=(5, 2, 1, 1, 3, 1))[0]
         side: Side = "operator" if rng.random() < 0.5 and kind is not FaultKind.MOVE else "robot"
         if kind is FaultKind.MTU:
             amount = rng.choice(_MTUS_BYTES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Callable
 
 from shaper.endpoint import Endpoint
@@ -17,7 +18,7 @@ from shaper.operator_lost import OperatorLostSettings, OperatorWatch
 from shaper.secure_channel import Address, SecureChannel
 from shaper.traffic_class import DEFAULT_CLASSES, TopicRule
 from straitlink.chaos.faults import NS_PER_S
-from straitlink.chaos.invariants import LIMITS, MAX_JOURNAL_MESSAGES, Fates, check_bounds
+from straitlink.chaos.invariants import LIMITS, MAX_JOURNAL_MESSAGES, Fates, check_bounds, check_deliveries
 
 _EPOCH_UNIX_NS = 1_387_000_000 * NS_PER_S
 _BANDS = (
@@ -50,7 +51,7 @@ class ChaosHost:
         self.lives = 0
         self.other_fates: Fates
         self.own_fates: Fates
-        self.delivered_at_ns = 0
+        self._delivered: Counter[str] = Counter()  # by the present process
         self._key = key
         self._configured = configured
         self._rng = rng
@@ -75,6 +76,9 @@ class ChaosHost:
         watch = OperatorWatch(_OPERATOR_LOST, now_ns) if self.side == "robot" else None
         self.link = LinkEnd(endpoint, channel, watch)
         self.lives += 1
+        self.own_fates.on_start()
+        self._delivered.clear()
+        self.other_fates.on_receiver_start()
         self._kill_in = 0
         self.wakeup_ns = true_ns
 
@@ -112,6 +116,8 @@ class ChaosHost:
             return
         self.wakeup_ns = wakeup_ns - self.clock_offset_ns
         check_bounds(link, self._journal)
+        check_deliveries(link, self._delivered)
+        self.own_fates.check_ledgers(link)
 
     def _handle(self, event: Event) -> None:
         if isinstance(event, Receipt):
@@ -120,7 +126,9 @@ class ChaosHost:
             self._deliver(event)
 
     def _deliver(self, event: Delivered) -> None:
+        self._delivered[event.key] += 1
         if event.on_handed_over is None:
+            self.other_fates.sampled(event)
             return
         if self._kill_in:
             self._kill_in -= 1

@@ -25,7 +25,13 @@ from straitlink.chaos.faults import (
     draw_faults,
 )
 from straitlink.chaos.host import ChaosHost
-from straitlink.chaos.invariants import BrokenInvariant, Fates
+from straitlink.chaos.invariants import (
+    MAX_ELEMENTS,
+    MAX_ELEMENTS_IN_CALM,
+    BrokenInvariant,
+    Fates,
+    check_elements,
+)
 
 _CONFIGURED: dict[Side, Address] = {"robot": ("10.0.0.1", 9001), "operator": ("10.0.0.2", 9002)}
 _OFFERS = (  # class, payload bytes at most, mean interval in ms, reliable
@@ -37,6 +43,8 @@ _OFFERS = (  # class, payload bytes at most, mean interval in ms, reliable
     ("perception", 5000, 2000, False),
 )
 _CAPTURED = 50
+_STRANGER: Address = ("203.0.113.1", 666)
+_RELAY_NS = 4 * NS_PER_S
 
 
 class ChaosError(Exception):
@@ -84,6 +92,7 @@ class _Chaos:
             side: Link(draw_direction(rng), random.Random(rng.getrandbits(64))) for side in _CONFIGURED
         }
         self._mtu_bytes = 1500
+        self._relayed_until_ns: dict[Side, int] = dict.fromkeys(_CONFIGURED, 0)
         self._captured: list[tuple[bytes, Address]] = []
         self._tag = 0
         self._kills = 0
@@ -149,7 +158,10 @@ class _Chaos:
     def _arrive(self, data: bytes, source: Address, to: Address) -> None:
         for host in self.hosts.values():
             if host.address == to and host.link is not None:
-                host.link.receive(data, source, host.local_ns(self.loop.now_ns))
+                now_ns = self.loop.now_ns
+                if now_ns < self._relayed_until_ns[host.side]:
+                    host.link.receive(data, _STRANGER, host.local_ns(now_ns))
+                host.link.receive(data, source, host.local_ns(now_ns))
                 self._pump(host)
 
     # The publishers.
@@ -177,6 +189,7 @@ class _Chaos:
         for host in self.hosts.values():
             if host.link is not None:
                 host.link.set_wall_clock(host.unix_ns(self.loop.now_ns), host.local_ns(self.loop.now_ns))
+                check_elements(host.link, MAX_ELEMENTS)
         self.loop.call_at(self.loop.now_ns + NS_PER_S, self._tell_time)
 
     # What goes wrong.
@@ -189,6 +202,7 @@ class _Chaos:
             FaultKind.CLOCK: self._step_clock,
             FaultKind.MTU: self._set_mtu,
             FaultKind.HOSTILE: self._be_hostile,
+            FaultKind.RELAY: self._relay,
         }
         acts[fault.kind](host, fault.amount)
 
@@ -211,6 +225,9 @@ class _Chaos:
     def _set_mtu(self, _host: ChaosHost, amount: int) -> None:
         self._mtu_bytes = amount
 
+    def _relay(self, host: ChaosHost, amount: int) -> None:
+        self._relayed_until_ns[host.side] = self.loop.now_ns + amount % _RELAY_NS
+
     def _be_hostile(self, host: ChaosHost, amount: int) -> None:
         rng = random.Random(amount)
         for _ in range(20):
@@ -225,7 +242,7 @@ class _Chaos:
                 data = data[:at] + bytes([data[at] ^ 1 << rng.randrange(8)]) + data[at + 1 :]
             elif how == 3:
                 data = rng.randbytes(len(data))
-            source = ("203.0.113.1", 666) if rng.random() < 0.5 else host.link.channel.peer_address
+            source = _STRANGER if rng.random() < 0.5 else host.link.channel.peer_address
             host.link.receive(data, source, host.local_ns(self.loop.now_ns))
             self._pump(host)
 
@@ -247,6 +264,7 @@ class _Chaos:
             offered += len(host.own_fates.fates)
             delivered += sum(fate.deliveries for fate in host.own_fates.fates.values())
             assert host.link is not None, "whoever was killed was started again"
+            check_elements(host.link, MAX_ELEMENTS_IN_CALM)
             for key, ledger in host.link.endpoint.sent_ledgers().items():
                 if ledger.queued:
                     raise BrokenInvariant(f"{key}: {ledger.queued} messages are still open in the ledger")

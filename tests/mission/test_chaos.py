@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from shaper.events import Delivered, Receipt, ReceiptStage
+from shaper.ledger import SentLedger
+from shaper.link_end import LinkEnd
+from shaper.whereabouts import Address
 from straitlink.chaos import ChaosError, run_chaos
 from straitlink.chaos.host import ChaosHost
 from straitlink.chaos.invariants import BrokenInvariant, Fates
@@ -61,6 +66,43 @@ def test_each_invariant_can_be_broken(events: list[Delivered | Receipt], reason:
         for event in events:
             fates.delivered(event) if isinstance(event, Delivered) else fates.told(event)
         fates.check_end()
+
+
+def sender(**counters: int) -> LinkEnd:
+    """A link end of which only the ledgers are looked at."""
+    ledger = SentLedger(offered=5, **counters)
+    return cast(LinkEnd, SimpleNamespace(endpoint=SimpleNamespace(sent_ledgers=lambda: {"a": ledger})))
+
+
+def test_a_ledger_that_counts_what_nobody_was_told_is_noticed() -> None:
+    fates = Fates("down")
+    fates.offered("a", 1)
+    fates.told(Receipt("a", 1, ReceiptStage.EXPIRED))
+    fates.check_ledgers(sender(expired=1))
+    with pytest.raises(BrokenInvariant, match="counts 1 sent, told were 0"):
+        fates.check_ledgers(sender(expired=1, sent=1))
+
+
+def test_a_sample_that_is_played_back_is_noticed() -> None:
+    fates = Fates("down")
+    fates.sampled(delivery(1))
+    fates.on_receiver_start()
+    fates.sampled(delivery(1))
+    with pytest.raises(BrokenInvariant, match="given twice"):
+        fates.sampled(delivery(1))
+
+
+def test_a_side_that_keeps_what_it_is_sent_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    receive = LinkEnd.receive
+
+    def keep(self: LinkEnd, data: bytes, source: Address, now_ns: int) -> None:
+        self.__dict__.setdefault("kept", []).append(data)
+        receive(self, data, source, now_ns)
+
+    monkeypatch.setattr(LinkEnd, "receive", keep)
+    with pytest.raises(ChaosError, match=r"elements are held, more than"):
+        for seed in range(10):
+            run_chaos(seed)
 
 
 def test_the_command_says_what_it_flew() -> None:
