@@ -11,6 +11,7 @@ MODULES = (
     "bench.soak",
     "bench.codec",
     "bench.view_codec",
+    "bench.view_fuzz",
     "bench.encodings",
     "bench.perception",
     "bench.perception_chain",

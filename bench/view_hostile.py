@@ -137,7 +137,7 @@ def full_messages() -> dict[Kind, list[bytes]]:
     sparse = random.integers(0, 1 << 20, (7_900, 3)).astype(np.float64)
     full["cloud"].append(encode_cloud(sparse, max_error_m=1.0, codec="context"))
     full["octree"].append(encode_octree(sparse, leaf_m=1.0, codec="context"))
-    for rows, columns, quality in ((680, 1020, 60), (480, 640, 95), (320, 400, 100)):
+    for rows, columns, quality in ((680, 1020, 60), (480, 640, 95), (256, 320, 100)):
         picture = random.integers(0, 256, (rows, columns, 3)).astype(np.uint8)
         jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
         full["image"].append(pack_jpeg(jpeg, codec="context"))
