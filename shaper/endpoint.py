@@ -207,10 +207,11 @@ class Endpoint:
         for at_ns in (self._report_due_ns(), self._probe_at_ns()):
             if at_ns is not None and at_ns < wakeup_ns:
                 wakeup_ns = at_ns
-        if self._outgoing.scheduler.next_queue(only_always_send=self.holding) is not None:
+        scheduler = self._outgoing.scheduler
+        if scheduler.next_queue(only_always_send=self.holding) is not None:
             wakeup_ns = now_ns
         wakeup_ns = max(wakeup_ns, self._estimator.pacer.next_send_at_ns(now_ns), self._trickle_at_ns())
-        if self._outgoing.scheduler.next_queue(only_always_send=True) is not None:
+        if scheduler.next_queue(only_always_send=True) is not None:
             urgent_ns = max(self._estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())
             wakeup_ns = max(min(wakeup_ns, urgent_ns), now_ns + 1)
         promised_ns = self._timers.promised_until_ns
@@ -369,6 +370,8 @@ class Endpoint:
         return self._timers.report_interval_ns(self._incoming, self._estimator.rate_bps, idle=idle)
 
     def _report_due_ns(self) -> int | None:
+        if self._incoming is None or not self._incoming.has_unreported:
+            return None
         idle = self._outgoing.scheduler.next_queue() is None
         return self._timers.report_due_ns(self._incoming, self._report_interval_ns(idle=idle))
 

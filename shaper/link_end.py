@@ -80,7 +80,8 @@ class LinkEnd:
             copy, self._copy = self._copy, None
             self.endpoint.on_channel_sent(len(copy[0]), now_ns)
             return copy
-        self._look_for_operator(now_ns)
+        if self.watch is not None:
+            self._look_for_operator(self.watch, now_ns)
         handshake = self.channel.next_handshake(now_ns)
         if handshake is not None:
             self.endpoint.on_channel_sent(len(handshake[0]), now_ns)
@@ -148,8 +149,8 @@ class LinkEnd:
             if self.tables is not None:
                 self.tables.meet(peer.table_hash, now_ns)
 
-    def _look_for_operator(self, now_ns: int) -> None:
-        event = None if self.watch is None else self.watch.look(self.channel.last_heard_ns, now_ns)
+    def _look_for_operator(self, watch: OperatorWatch, now_ns: int) -> None:
+        event = watch.look(self.channel.last_heard_ns, now_ns)
         if event is not None:
             self._events.append(event)
 

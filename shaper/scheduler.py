@@ -129,6 +129,8 @@ class Scheduler:
                 heappop(heap)
                 queue.active = False
             return None
+        if not tier.heap:
+            return None
         for _, _, queue in sorted(tier.heap):
             if queue.rule.traffic_class.always_send and not queue.empty:
                 return queue

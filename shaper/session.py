@@ -24,8 +24,8 @@ TAG_BYTES = 8
 MAX_SEALED = 1 << 23  # packet numbers under one key: no two have the same low 24 bits
 MAX_FORGED = 1 << 20  # failed tags after which a key should be replaced
 _KIND_MASK, _FLAGS_MASK = 0x0F, 0xF0
-_LANES = {PROTECTED: 0, CONTROL: 1}
 _NONCE_BYTES = 13  # leaves a length field of two bytes: datagrams are no longer
+_NONCE_HEADS = {PROTECTED: bytes(_NONCE_BYTES - 3), CONTROL: b"\1" + bytes(_NONCE_BYTES - 4)}
 
 
 class Session:
@@ -40,6 +40,7 @@ class Session:
         "_first_number",
         "_last_number",
         "_open",
+        "_peer_epoch",
         "_peer_id",
         "_seal",
         "_windows",
@@ -71,6 +72,7 @@ class Session:
         self.used_ns = now_ns  # something was opened
         self.proven = False  # the peer has sealed something
         self.forged = 0
+        self._peer_epoch = hello.identity.epoch.to_bytes(2, "little")
         self._peer_id = hello.session_id.to_bytes(2, "little")
         self._seal = AESCCM(keys.send, tag_length=TAG_BYTES)
         self._open = AESCCM(keys.receive, tag_length=TAG_BYTES)
@@ -93,14 +95,14 @@ class Session:
             raise ValueError(f"packet number {number} after {self._last_number}: a key seals each only once")
         self._last_number = number
         clear = bytes([PROTECTED | datagram[0] & _FLAGS_MASK]) + self._peer_id + datagram[3:6]
-        return clear + self._seal.encrypt(_nonce(PROTECTED, clear), datagram[CLEAR_BYTES:], clear)
+        return clear + self._seal.encrypt(_NONCE_HEADS[PROTECTED] + clear[3:6], datagram[CLEAR_BYTES:], clear)
 
     def seal_control(self, payload: bytes) -> bytes:
         """Protect what the two channels tell each other beside the endpoints' datagrams."""
         number = self._control_number.to_bytes(NUMBER_BITS // 8, "little")
         self._control_number += 1
         clear = bytes([CONTROL]) + self._peer_id + number
-        return clear + self._seal.encrypt(_nonce(CONTROL, clear), payload, clear)
+        return clear + self._seal.encrypt(_NONCE_HEADS[CONTROL] + clear[3:6], payload, clear)
 
     def open(self, data: bytes, now_ns: int) -> tuple[bytes, bool] | None:
         """The plain datagram or control payload, and whether it is the newest; None if it came before.
@@ -109,7 +111,7 @@ class Session:
         """
         clear, kind = data[:CLEAR_BYTES], data[0] & _KIND_MASK
         try:
-            body = self._open.decrypt(_nonce(kind, clear), data[CLEAR_BYTES:], clear)
+            body = self._open.decrypt(_NONCE_HEADS[kind] + clear[3:6], data[CLEAR_BYTES:], clear)
         except InvalidTag as error:
             self.forged += 1
             raise DecodeError(f"session {self.own_id}: a datagram that the peer has not sealed") from error
@@ -124,9 +126,4 @@ class Session:
         self.used_ns = now_ns
         if kind == CONTROL:
             return body, newest
-        epoch = self.hello.identity.epoch.to_bytes(2, "little")
-        return bytes([VERSION | clear[0] & _FLAGS_MASK]) + epoch + clear[3:6] + body, newest
-
-
-def _nonce(kind: int, clear: bytes) -> bytes:
-    return bytes([_LANES[kind]]) + bytes(_NONCE_BYTES - 4) + clear[3:6]
+        return bytes([VERSION | clear[0] & _FLAGS_MASK]) + self._peer_epoch + clear[3:6] + body, newest
