@@ -63,6 +63,7 @@ class Daemon:
     """One side of the link, from `start` to `stop`."""
 
     def __init__(self, config: ShaperConfig, trace_path: Path | None = None) -> None:
+        self._keys = read_keys(config)
         self._config = config
         self._trace = None if trace_path is None else TraceFile(trace_path)
         self._bins = SentBins(lambda record: self._trace.write(record) if self._trace else None)
@@ -73,7 +74,6 @@ class Daemon:
         self._seen_ns = 0  # the latest instant that the core has been told of
         self._silent = False
         self._outlet: BusOutlet | None = None
-        self._keys = read_keys(config)
         self._filtered_ids: list[int] = []
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly

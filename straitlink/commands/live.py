@@ -24,9 +24,10 @@ def shaper(
 
     logging.basicConfig(level=logging.INFO, format="shaper: %(message)s")
     settings = load_config(config)
+    daemon = Daemon(settings, trace)  # refuses a key that others can read before anything is said
     listen, peer = (f"{host}:{port}" for host, port in (settings.listen, settings.peer))
     typer.echo(f"shaper: {settings.side} side on {listen}, peer {peer}", err=True)
-    run_until_signal(Daemon(settings, trace).run)
+    run_until_signal(daemon.run)
 
 
 @app.command()

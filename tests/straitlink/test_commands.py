@@ -82,3 +82,14 @@ def test_every_command_explains_itself() -> None:
     for command in app.registered_commands:
         assert command.callback is not None and command.callback.__doc__
         assert "Usage" in run(command.callback.__name__, "--help")
+
+
+def test_a_shaper_whose_key_others_can_read_says_only_that(tmp_path: Path) -> None:
+    config = tmp_path / "robot.toml"
+    example = (Path(__file__).parents[2] / "examples" / "robot.toml").read_text()
+    config.write_text(example.replace("open = true", 'keys = ["link.key"]'))
+    run("keygen", str(tmp_path / "link.key"))
+    (tmp_path / "link.key").chmod(0o644)
+    result = CliRunner().invoke(app, ["shaper", str(config)])
+    assert isinstance(result.exception, user_errors())
+    assert "chmod 600" in str(result.exception) and "side on" not in result.output
