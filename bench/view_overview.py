@@ -61,4 +61,5 @@ def _height_map_and_truth(seed: int) -> tuple[NDArray[np.float32], FloatArray, F
     low, high = height_bounds(view, seed)
     shown = np.where(high < wish.high_m[2], high, np.nan)  # what hangs above is cut off by the request
     grid = wish.grid(wish.finest.resolution)
-    return render_height_map(scene.points.points_m, grid, scene.points.sensor_m[:2]), low, shown
+    points = scene.points
+    return render_height_map(points.points_m, grid, points.origins_m, points.stops), low, shown
