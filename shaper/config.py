@@ -88,8 +88,8 @@ class _LinkTable(_Table):
     peer: str
     max_datagram_bytes: Annotated[int, Field(ge=300, le=1472)] = 1200
     pace_ratio: Annotated[float, Field(gt=0, le=1)] = 0.95
-    estimator: Literal["presets", "adaptive"] = "presets"
-    bands: Annotated[list[_BandTable], Field(min_length=1)]
+    estimator: Literal["presets", "adaptive"] = "adaptive"
+    bands: list[_BandTable] = []
     accept: list[str] = ["**"]
     keys: list[str] = []
     open: bool = False
@@ -189,7 +189,7 @@ class ShaperConfig:
     endpoint: EndpointSettings
     bands: tuple[PresetBand, ...]
     pace_ratio: float
-    estimator: Literal["presets", "adaptive"] = "presets"
+    estimator: Literal["presets", "adaptive"] = "adaptive"
     metrics: tuple[str, int] | None = None
     key_files: tuple[Path, ...] = ()
     open_link: bool = False
@@ -425,6 +425,8 @@ def _from_table(table: _ShaperTable, path: Path) -> ShaperConfig:
     if table.operator_lost is not None and link.side != "robot":
         raise ConfigError(f"{path}: operator_lost: expected on the robot's side only, not the operator's")
     _check_protection(link, path)
+    if link.estimator == "presets" and not link.bands:
+        raise ConfigError(f'{path}: link.estimator = "presets": expected at least one [[link.bands]]')
     return ShaperConfig(
         side=link.side,
         listen=parse_address(link.listen),

@@ -162,7 +162,7 @@ class Endpoint:
         """The next datagram that may leave now, or None."""
         estimator = self._estimator
         gated = not estimator.pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
-        only_emergency = gated and now_ns < max(estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())
+        only_emergency = now_ns < max(estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())
         holding = self.holding or gated
         queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
         due = self._what_is_due(now_ns, gated=gated)

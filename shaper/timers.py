@@ -28,8 +28,11 @@ _PROBE_WIRE_BYTES = 47
 _TRICKLE_SHARE = 0.03
 _TRICKLE_WIRE_BYTES = 110
 # What is promised (shaper.promise): the next datagram of a backlog, with this much for a late timer; or
-# the next report, while there is something to report on; or the next beat.
+# the next report, while there is something to report on; or twice the gap between datagrams of late, at
+# most the next beat. A regular stream that falls silent is missed after two of its periods, not a second;
+# when traffic ends, a few empty datagrams leave, each after twice the time.
 _PACE_SLACK_NS = 3_000_000
+_GAP_FACTOR, _GAP_WEIGHT = 2, 8
 _BEAT_SLACK_NS = 20_000_000
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 
@@ -55,6 +58,8 @@ class Timers:
     """
 
     __slots__ = (
+        "_gap_ns",
+        "_spoke_ns",
         "beat_at_ns",
         "last_heard_ns",
         "last_sent_ns",
@@ -69,6 +74,8 @@ class Timers:
         self.last_heard_ns = now_ns
         self.reported_at_ns = now_ns
         self.report_at_once = False
+        self._spoke_ns = now_ns  # anything at all
+        self._gap_ns = BEAT_INTERVAL_NS  # smoothed, between all datagrams
         self.promised_until_ns = 1 << 62  # nothing is promised before anything is sent
 
     def on_peer_met(self, now_ns: int) -> None:
@@ -95,12 +102,15 @@ class Timers:
 
         backlog_at_ns: when what waits may leave; None if nothing does. interval_ns: between pure reports.
         """
+        gap_ns, self._spoke_ns = now_ns - self._spoke_ns, now_ns
+        self._gap_ns += (gap_ns - self._gap_ns) // _GAP_WEIGHT
         if backlog_at_ns is not None:
             within_ns = backlog_at_ns - now_ns + _PACE_SLACK_NS
         elif incoming is not None and now_ns < incoming.streams_until_ns + interval_ns:
             within_ns = interval_ns + _PACE_SLACK_NS
         else:
-            within_ns = BEAT_INTERVAL_NS + _BEAT_SLACK_NS
+            usual_ns = _GAP_FACTOR * max(gap_ns, self._gap_ns, interval_ns)
+            within_ns = min(usual_ns, BEAT_INTERVAL_NS) + _BEAT_SLACK_NS
         code = promise_code(within_ns)
         self.promised_until_ns = now_ns + PROMISES_NS[code]
         return code

@@ -30,6 +30,7 @@ LEAST_BPS, MOST_BPS = 2_000, 100_000_000
 ALLOWANCE_NS = 4 * NS_PER_MS  # queue that is kept so that the link never runs dry, and every spread tells
 ALLOWANCE_NOISE = 0.25  # and this much per noise of arrivals
 CAUTION = 10  # a band that is not known may be so many times slower than the last
+SAME_CAUTION = 2  # ... unless the peer's words take just as long as before the silence
 LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we are made for
 LEAST_DATAGRAM_BYTES = 180  # on the thinnest links, where a larger one ...
 MOST_AIRTIME_NS = 150 * NS_PER_MS  # ... would take longer than this
@@ -49,9 +50,11 @@ DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become qui
 
 TRICKLE_NS = 100 * NS_PER_MS  # in hold, a datagram at least this often is not needed ...
 TRICKLE_SHARE = 0.02  # ... and at most this share of the rate is taken, as a link may hold the queue
-TRICKLE_BYTES = 110
+TRICKLE_BYTES = 72
 TRICKLE_SLOWING = 64  # its interval is at least the silence over this: half a minute held costs 0.2 s
 MAX_TRICKLE_NS = 200 * NS_PER_MS
+URGENT_SLOWING = 8  # and that of heartbeats the silence over this, at most ...
+URGENT_TRICKLES = 4  # ... so many of those
 
 SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
 OVERDUE_NS = 15 * NS_PER_MS  # a report may be this late ...
@@ -157,8 +160,10 @@ class AdaptiveEstimator:
         if self._silence.heard_ns < 0:
             return 0
         if self.state is State.RUN:
-            return self._train_bytes() if self._probes_left else 0
-        return TRAIN_BYTES if self._probes_left or self.state is State.PROBE else TRICKLE_BYTES // 2
+            return self._train_bytes(self.rate_bps) if self._probes_left else 0
+        if self.state is State.PROBE:
+            return self._train_bytes(self.pacer.rate_bps)
+        return TRAIN_BYTES if self._probes_left else TRICKLE_BYTES
 
     # What happens.
 
@@ -172,13 +177,13 @@ class AdaptiveEstimator:
         self._probes_left = max(0, self._probes_left - 1)
         if self.state is State.PROBE:
             self._pace_trains(in_train, now_ns)
-        elif self.state is State.HOLD and not self._probes_left:
-            pacer.not_before_ns = now_ns + self._trickle_ns(now_ns)
+        elif self.state is State.HOLD:
+            self._pace_trickle(packet.wire_bytes, now_ns)
         elif self.state is State.RUN and self._ideas.verify and not self._baseline.pausing:
             if idle_ns >= self._baseline.pause_ns:
                 self._baseline.begin(now_ns, self._apparent_delay_ns())
             elif now_ns >= self._baseline.due_ns:
-                pacer.not_before_ns = self._empty_ns + self._baseline.pause_ns
+                pacer.pause(self._empty_ns + self._baseline.pause_ns)
                 self._baseline.begin(pacer.not_before_ns, self._apparent_delay_ns())
 
     def on_report(
@@ -287,6 +292,9 @@ class AdaptiveEstimator:
         lowest = self._bands.lowest_below(self._known_bps) if self._known_bps and self._ideas.bands else None
         if lowest is not None:
             cautious_bps = max(cautious_bps, lowest.rate_bps)
+        if self._silent and self._silence.same:  # a blackout, more likely than another band
+            cautious_bps = known_bps / SAME_CAUTION
+            self._train_interval_ns = 0
         first = self._flights.first_since(self._epoch_ns)
         queue_ns = 0 if first is None else self._flights.simulate(cautious_bps, first, 0, now_ns)
         self.pacer.set(_whole(cautious_bps), queue_ns, now_ns)
@@ -299,15 +307,20 @@ class AdaptiveEstimator:
         if not in_train and now_ns >= self.pacer.not_before_ns:
             self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
         elif in_train and self._probes_left == 0:
-            self.pacer.not_before_ns = self._empty_ns + self._train_interval_ns
+            self.pacer.pause(self._empty_ns + self._train_interval_ns)
             if self._known_bps is None and not self._hinted:  # wait for an answer, ever longer
                 self._train_interval_ns = min(2 * self._train_interval_ns, MAX_START_INTERVAL_NS)
 
-    def _trickle_ns(self, now_ns: int) -> int:
-        rate_bps = self._known_bps or START_BPS
-        share_ns = int(TRICKLE_BYTES * 8 * NS_PER_S / (TRICKLE_SHARE * rate_bps))
-        slowed_ns = (now_ns - self._hold_from_ns) // TRICKLE_SLOWING
-        return max(TRICKLE_NS, min(share_ns, 10 * MAX_TRICKLE_NS), min(slowed_ns, MAX_TRICKLE_NS))
+    def _pace_trickle(self, wire_bytes: int, now_ns: int) -> None:
+        """The longer the hold, the less leaves: the link may keep it all, and serve it before what is new."""
+        held_ns = now_ns - self._hold_from_ns
+        share_ns = int(TRICKLE_BYTES * 8 * NS_PER_S / (TRICKLE_SHARE * (self._known_bps or START_BPS)))
+        slowed_ns = min(held_ns // TRICKLE_SLOWING, MAX_TRICKLE_NS)
+        trickle_ns = max(TRICKLE_NS, min(share_ns, 10 * MAX_TRICKLE_NS), slowed_ns)
+        if not self._probes_left:
+            self.pacer.not_before_ns = now_ns + trickle_ns
+        if wire_bytes > TRICKLE_BYTES and self._silent:  # it carried a message
+            self.pacer.urgent_from_ns = now_ns + min(held_ns // URGENT_SLOWING, URGENT_TRICKLES * trickle_ns)
 
     def _hold(self, why: Input, since_ns: int, now_ns: int) -> None:
         """Send no more than a trickle. since_ns: when the link may have changed."""
@@ -378,7 +391,7 @@ class AdaptiveEstimator:
         first = self._flights.first_since(self._epoch_ns)
         queue_ns = 0 if first is None else self._flights.simulate(rate_bps, first, 0, now_ns)
         self._set_queue(queue_ns, now_ns)
-        self.pacer.not_before_ns = now_ns + queue_ns + self._baseline.pause_ns
+        self.pacer.pause(now_ns + queue_ns + self._baseline.pause_ns)
         self._baseline.restart(self.pacer.not_before_ns)
         self._rtts = self._rtts[-1:]
 
@@ -432,9 +445,9 @@ class AdaptiveEstimator:
     def _rtt_ns(self) -> int:
         return min((rtt_ns for _, rtt_ns in self._rtts), default=200 * NS_PER_MS)
 
-    def _train_bytes(self) -> int:
+    def _train_bytes(self, rate_bps: int) -> int:
         airtime_ns = TRAIN_AIRTIME_NS + int(TRAIN_NOISES * self._noise_ns)
-        airtime_bytes = self.rate_bps * airtime_ns // (8 * NS_PER_S)
+        airtime_bytes = rate_bps * airtime_ns // (8 * NS_PER_S)
         return min(self.datagram_bytes, max(TRAIN_BYTES, airtime_bytes))
 
     def _apparent_delay_ns(self) -> int:
@@ -448,6 +461,7 @@ class AdaptiveEstimator:
     def _enter(self, happened: Input, now_ns: int) -> None:
         self.state = follow(self.state, happened)
         self._probes_left = self.pacer.free = 0
+        self.pacer.urgent_from_ns = now_ns
         self.pacer.allowance_ns = ALLOWANCE_NS + int(ALLOWANCE_NOISE * self._noise_ns)
 
     def _set_rate(self, rate_bps: float) -> None:

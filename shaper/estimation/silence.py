@@ -18,6 +18,7 @@ _FALSE_ALARMS = 2e-4  # chance that so many datagrams in a row are lost
 _LEAST_LOSS = 0.005
 _LATE_NS = 20_000_000  # what ends a hiccup is later than its predecessor by no more than this ...
 _LATE_SHARE = 0.35  # ... or this share of the silence
+_SAME_NS = 5_000_000
 HICCUP_NS = 300_000_000  # a longer silence is none
 _FALL_NS = 20_000_000  # of the delay back, which says that the path has changed
 _NEVER_NS = 1 << 62
@@ -30,6 +31,7 @@ class Silence:
         self.heard_ns = -_NEVER_NS
         self.deadline_ns = _NEVER_NS  # beyond it the peer is silent
         self.misses = 1  # datagrams in a row that must fail to come before that is more than loss
+        self.same = False  # whether the newest datagram took as long as the one before it
         self._number = -1
         self._loss = LossMeter()
         self._delay_us: int | None = None  # of the newest datagram, plus the clocks' offset
@@ -75,6 +77,7 @@ class Silence:
         off_us = min(abs(delay_us - self._delay_us), 3 * self._deviation_us + 500)
         self._deviation_us += (off_us - self._deviation_us) / 16
         self._delay_us = delay_us
+        self.same = abs(later_ns) < max(_SAME_NS, _NOISE_FACTOR * self.noise_ns)
         quicker = (self._least_us - delay_us) * 1000 > _FALL_NS + _NOISE_FACTOR * self.noise_ns
         self._least_us = min(self._least_us + 1 + silence_ns // 1_000_000_000, delay_us)
         if later_ns > allowed_ns:

@@ -18,6 +18,7 @@ class VirtualQueue:
 
     allowance_ns: a datagram may leave once no more than this is left to serve before it.
     not_before_ns: nothing leaves before, whatever the queue says. free: so many datagrams leave at once.
+    urgent_from_ns: what must always pass waits until then too.
     """
 
     __slots__ = (
@@ -29,12 +30,13 @@ class VirtualQueue:
         "not_before_ns",
         "rate_bps",
         "sent_ns",
+        "urgent_from_ns",
     )
 
     def __init__(self, rate_bps: int, allowance_ns: int, now_ns: int) -> None:
         self.rate_bps = rate_bps
         self.allowance_ns = allowance_ns
-        self.not_before_ns = now_ns
+        self.not_before_ns = self.urgent_from_ns = now_ns
         self.free = 0
         self.found_ns = 0  # what the newest datagram found before it
         self.sent_ns = now_ns  # when the newest datagram left
@@ -53,9 +55,13 @@ class VirtualQueue:
         """The earliest time for what always passes: it does not wait for the queue to drain."""
         share_ns = int(URGENT_BYTES * 8 * NS_PER_S / (URGENT_SHARE * self.rate_bps))
         urgent_ns = self.sent_ns + max(URGENT_INTERVAL_NS, share_ns)
-        if self.not_before_ns - self.sent_ns < LONGEST_PAUSE_NS:  # a pause to measure in is kept
-            urgent_ns = max(urgent_ns, self.not_before_ns)
-        return min(max(now_ns, urgent_ns), self.next_send_at_ns(now_ns))
+        return max(self.urgent_from_ns, min(max(now_ns, urgent_ns), self.next_send_at_ns(now_ns)))
+
+    def pause(self, until_ns: int) -> None:
+        """Let nothing leave, to measure; what must always pass waits too unless that is for long."""
+        self.not_before_ns = until_ns
+        if until_ns - self.sent_ns < LONGEST_PAUSE_NS:
+            self.urgent_from_ns = until_ns
 
     def opens_ns(self) -> int:
         """When a datagram may leave, or since when it may have."""

@@ -24,8 +24,8 @@ def mission(
     minutes: Annotated[float, typer.Option(min=0.01, max=100_000, help="Virtual time.")] = 30.0,
     seed: Annotated[int, typer.Option(help="Same seed, same result to the byte.")] = 1,
     estimator: Annotated[
-        Literal["presets", "adaptive"], typer.Option(help="The profile's bands, or what the link shows.")
-    ] = "presets",
+        Literal["presets", "adaptive"], typer.Option(help="What the link shows, or the profile's bands.")
+    ] = "adaptive",
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for what `straitlink report` reads.")] = None,
 ) -> None:

@@ -69,7 +69,7 @@ class MissionSettings:
     duration_ns: int
     seed: int = 1
     bands: tuple[PresetBand, ...] = ()
-    estimator: EstimatorFactory = presets
+    estimator: EstimatorFactory = adaptive
     max_drift_ppm: int = 50
     synchronised: bool = False
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from netem_scripts.profiles import load_profile
 from straitlink.mission import run_mission
+from straitlink.mission.mission import presets
 from tests.mission.scenarios import TraceLog, band, both_ways, fly, settings, with_faults
 from tests.mission.test_trials import accounted
 
@@ -52,9 +55,9 @@ def test_nothing_stale_leaves_after_a_long_blackout() -> None:
     assert command["age_max_ms"] < 11_000  # the class lets a command live for 10 s
 
 
-def test_jitter_does_not_make_the_sender_change_its_mind() -> None:
+def test_jitter_does_not_make_a_sender_by_presets_change_its_mind() -> None:
     jittery = with_faults(load_profile("constant-1m-50ms"), jitter_ns=10_000_000)
     trace = TraceLog()
-    run_mission(settings(jittery, "camera-flood", 60, 1), trace)
+    run_mission(replace(settings(jittery, "camera-flood", 60, 1), estimator=presets), trace)
     bands = {r["band"] for r in trace.records["robot"] if r["event"] == "link_state"}
     assert bands == {"1000 kbit/s 50 ms"}

@@ -147,7 +147,7 @@ def blackout(rate_bps: int, delay_ms: int, held: bool) -> Profile:
 def test_twenty_plans_of_a_blackout_arrive_once_in_order_and_within_three_round_trips(
     tmp_path: Path, link: tuple[int, int], held: bool
 ) -> None:
-    """... and their own transmission time; a link that held its queue has to empty it first."""
+    """... and their own transmission time; a link that held its queue first serves what was in flight."""
     rate_bps, delay_ms = link
     flight = Flight(tmp_path, blackout(rate_bps, delay_ms, held), 60)
     for topic in ("robot/plan", "operator/plan"):
@@ -156,11 +156,10 @@ def test_twenty_plans_of_a_blackout_arrive_once_in_order_and_within_three_round_
         deliveries = flight.trace.deliveries(side, topic)
         dark = [when_s for when_s, age_ms in deliveries if 10 < when_s - age_ms / 1000 < 39.9]
         transmission_s = 20 * (600 + 10 + 28 + 10) * 8 / (0.95 * rate_bps)
-        queued_bytes = flight.in_flight_bytes(topic.split("/")[0], 40) if held else 0
+        caught_bytes = flight.in_flight_bytes(topic.split("/")[0], 10) if held else 0
         assert 19 <= len(dark) <= 20
-        bound_s = 3 * 2 * delay_ms / 1000 + transmission_s + queued_bytes * 8 / rate_bps
+        bound_s = 3 * 2 * delay_ms / 1000 + transmission_s + caught_bytes * 8 / rate_bps
         assert max(dark) - 40 < bound_s, topic
-        assert queued_bytes * 8 / rate_bps < 2.8, topic
 
 
 @pytest.mark.parametrize("link", [FAST, THIN], ids=["fast", "thin"])
@@ -179,11 +178,12 @@ def test_after_a_blackout_the_newest_state_comes_and_nothing_stale(
 def test_commands_that_expired_in_the_dark_are_reported_and_the_rest_delivered(
     tmp_path: Path, held: bool
 ) -> None:
-    flight = Flight(tmp_path, blackout(*FAST, held), 60)
+    seldom = LOAD.replace('rate_hz = 10\nclass = "command"', 'rate_hz = 2\nclass = "command"')
+    flight = Flight(tmp_path, blackout(*FAST, held), 60, load=seldom)  # so that they expire, and are not shed
     row = flight.topics["operator/command"]
     numbers = flight.numbers("robot", "operator/command")
     assert numbers == sorted(set(numbers))
-    assert row["delivered"] + row["expired"] + row["overflow"] == row["offered"] == 600
+    assert row["delivered"] + row["expired"] + row["overflow"] == row["offered"] == 120
     assert row["lost"] == row["in_flight"] == 0
     assert row["age_max_ms"] <= 10_010
     stages: dict[str, int] = {}

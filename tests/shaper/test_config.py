@@ -175,6 +175,11 @@ def test_zenoh_options_pass_through(tmp_path: Path) -> None:
         ("127.0.0.1:9101", ":9101", ["link.peer", "expected host:port"]),
         ("127.0.0.1:9101", "127.0.0.1:99999", ["link.peer", "1 to 65535"]),
         ("127.0.0.1:9101", "127.0.0.1:\N{SUPERSCRIPT TWO}", ["link.peer", "expected host:port"]),
+        (
+            '[[link.bands]]\nname = "fast"\nrate_bps = 1_000_000\none_way_delay_ms = 50\n',
+            'estimator = "presets"\n',
+            ["link.estimator", '"presets"', "at least one [[link.bands]]"],
+        ),
         ("[zenoh]", "[zenoh]\nlisten = 5", ["zenoh.listen", "5", "list"]),
         ("[zenoh]\n", "", ["zenoh", "is missing"]),
         ("[zenoh]", '[zenoh]\nmode = "star"', ["zenoh.mode", '"star"', "'peer', 'client' or 'router'"]),

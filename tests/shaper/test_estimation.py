@@ -61,6 +61,16 @@ def test_a_datagram_that_may_leave_finds_no_more_queue_than_is_allowed(
         assert served_ns <= queue.wait_ns(now_ns) <= served_ns + 4 * MS + 2
 
 
+def test_what_must_always_pass_waits_neither_for_the_queue_nor_for_a_long_pause_but_for_a_short_one() -> None:
+    queue = VirtualQueue(100_000, 4 * MS, 0)
+    queue.on_sent(1200, 0)
+    assert queue.next_send_at_ns(0) == 92 * MS and queue.urgent_at_ns(0) == 60 * MS
+    queue.pause(400 * MS)
+    assert queue.urgent_at_ns(0) == 60 * MS
+    queue.pause(110 * MS)
+    assert queue.urgent_at_ns(0) == 110 * MS
+
+
 def test_arrivals_at_the_known_rate_tell_of_no_change() -> None:
     dispersion = stream(8 * MS, 8 * MS)
     assert dispersion.fallen(RATE_BPS) is None

@@ -24,3 +24,23 @@ def test_whoever_promises_a_datagram_sends_one_in_time() -> None:
         promises_ns = [PROMISES_NS[header.promise] for header, _ in side.decoded]
         for at_ns, promise_ns, next_ns in zip(times_ns, promises_ns, times_ns[1:], strict=False):
             assert next_ns - at_ns <= promise_ns
+
+
+def test_a_regular_stream_promises_little_more_than_its_period() -> None:
+    pair = Pair()
+    for _ in range(40):
+        pair.offer(pair.robot, "robot/state/a", bytes(50))
+        pair.advance(100 * MS)
+    assert max(PROMISES_NS[header.promise] for header, _ in pair.robot.decoded[-10:]) < 300 * MS
+
+
+def test_after_a_stream_has_ended_promises_grow_to_a_beat() -> None:
+    pair = Pair()
+    for _ in range(40):
+        pair.offer(pair.robot, "robot/state/a", bytes(50))
+        pair.advance(100 * MS)
+    ended = len(pair.robot.decoded)
+    pair.advance(10 * S)
+    after = pair.robot.decoded[ended:]
+    assert PROMISES_NS[after[-1][0].promise] > 900 * MS
+    assert len(after) < 25
