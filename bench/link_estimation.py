@@ -25,7 +25,8 @@ from bench.link_controls import DelayGradient, TrialsRule
 from bench.link_rows import ROWS, Row
 from bench.link_score import Score, judge
 from bench.machine import provenance
-from shaper.estimation.adaptive import AdaptiveEstimator, Ideas
+from shaper.estimation.adaptive import AdaptiveEstimator
+from shaper.estimation.ideas import Ideas
 from shaper.link_estimator import EstimatorFactory, PresetBands
 from shaper.trace_records import Record
 from straitlink.mission import MissionSettings, load_named_or_file, run_mission

@@ -38,7 +38,7 @@ from shaper.trouble import TroubleTeller
 from shaper.wire_type import Encodings
 
 _MAX_EARLIER = 40  # arrivals named in one report beside the newest
-_STREAM_NS = 500_000_000  # who promises the next datagram for sooner has more to send
+_STREAM_NS = 110_000_000  # a sooner promise is of a backlog, a later one of regular messages (shaper.timers)
 _SILENCE_NS = 300_000_000  # without a datagram for so long, the next one is reported on at once
 _NS_PER_MS = 1_000_000
 _LATEST_UNIX_NS = 1 << 62  # the year 2116; leaves room to add ages without leaving 64 bits

@@ -28,11 +28,12 @@ _PROBE_WIRE_BYTES = 47
 _TRICKLE_SHARE = 0.03
 _TRICKLE_WIRE_BYTES = 110
 # What is promised (shaper.promise): the next datagram of a backlog, with this much for a late timer; or
-# the next report, while there is something to report on; or twice the gap between datagrams of late, at
-# most the next beat. A regular stream that falls silent is missed after two of its periods, not a second;
-# when traffic ends, a few empty datagrams leave, each after twice the time.
+# the next report, while there is something to report on; or twice the gap between datagrams of late; or,
+# if that is long, the next beat. A regular stream that falls silent is missed after two of its periods,
+# not a second; when traffic ends, a few empty datagrams leave, each after twice the time.
 _PACE_SLACK_NS = 3_000_000
 _GAP_FACTOR, _GAP_WEIGHT = 2, 8
+_REGULAR_NS = 400_000_000
 _BEAT_SLACK_NS = 20_000_000
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 
@@ -110,7 +111,8 @@ class Timers:
             within_ns = interval_ns + _PACE_SLACK_NS
         else:
             usual_ns = _GAP_FACTOR * max(gap_ns, self._gap_ns, interval_ns)
-            within_ns = min(usual_ns, BEAT_INTERVAL_NS) + _BEAT_SLACK_NS
+            within_ns = usual_ns if usual_ns < _REGULAR_NS else BEAT_INTERVAL_NS
+            within_ns += _BEAT_SLACK_NS
         code = promise_code(within_ns)
         self.promised_until_ns = now_ns + PROMISES_NS[code]
         return code

@@ -8,12 +8,13 @@ hold     the peer is silent, or what was sent is not reported in time: a trickle
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from shaper.estimation.bands import Bands
 from shaper.estimation.baseline import Baseline
 from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight, Flights
+from shaper.estimation.ideas import Ideas
+from shaper.estimation.round_trips import RoundTrips
 from shaper.estimation.silence import HICCUP_NS, Silence
 from shaper.estimation.states import Input, State, follow
 from shaper.estimation.virtual_queue import VirtualQueue
@@ -68,23 +69,9 @@ ANCHOR_NOISE_NS = 500_000  # one arrival more is looked at per this much noise
 FOLLOW = 0.5  # how far the rate follows its average at each report
 DRIFT_RATIO = 1.18  # and how far it may get from where a change put it, before that counts as one
 SETTLED_NS = 3 * NS_PER_S  # after which a band is worth remembering
-RTT_MEMORY_NS = 10 * NS_PER_S
 FRESH_CONFIDENCE, DOUBTFUL_CONFIDENCE = 0.7, 0.3  # in run, but not settled yet; in probe
 _NEVER_NS = 1 << 62
 _NO_LIMIT_BYTES = 1 << 40
-
-
-@dataclass(frozen=True, slots=True)
-class Ideas:
-    """What can be switched off, to see what it is worth."""
-
-    silence: bool = True
-    overdue: bool = True
-    verify: bool = True
-    anchor: bool = True
-    quicker: bool = True
-    bands: bool = True
-    unchanged: bool = True
 
 
 class AdaptiveEstimator:
@@ -117,7 +104,7 @@ class AdaptiveEstimator:
         self._hold_from_ns = now_ns
         self._probes_left = 0
         self._empty_ns = now_ns  # when the virtual queue runs or ran empty
-        self._rtts: list[tuple[int, int]] = []
+        self._rtts = RoundTrips()
         self._silent = False  # whether it is the peer's silence for which the link is held
         self._train_interval_ns = START_INTERVAL_NS
         if bands:  # a hint: trains follow each other at the thinnest band's rate until one is reported
@@ -200,8 +187,7 @@ class AdaptiveEstimator:
                 self._dispersion.add(previous, flight, judged_bps)
             previous = flight
         if rtt_ns is not None:
-            self._rtts = [r for r in self._rtts if r[0] > now_ns - RTT_MEMORY_NS][-200:]
-            self._rtts.append((now_ns, rtt_ns))
+            self._rtts.add(rtt_ns, now_ns)
         if self.state is State.RUN:
             self._run(arrived, now_ns)
         else:
@@ -245,7 +231,9 @@ class AdaptiveEstimator:
 
     def on_timer(self, now_ns: int) -> None:
         if self.state is not State.HOLD and now_ns >= self._silence_ns() and self._ideas.silence:
-            self._hold(Input.SILENCE, self._silence.heard_ns - self._rtt_ns() // 2 - SURELY_NS, now_ns)
+            self._hold(
+                Input.SILENCE, self._silence.heard_ns - self._rtts.shortest_ns // 2 - SURELY_NS, now_ns
+            )
 
     # Probe and hold: find out what the link is now.
 
@@ -256,7 +244,7 @@ class AdaptiveEstimator:
             self._resume(self._known_bps, now_ns)
             return
         if self._known_bps is None:
-            self._train_interval_ns = max(TRAIN_INTERVAL_NS, self._rtt_ns() // 2)
+            self._train_interval_ns = max(TRAIN_INTERVAL_NS, self._rtts.shortest_ns // 2)
         known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
         still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
         rate_bps = known_bps if still else self._dispersion.of_trains(self._epoch_ns)
@@ -352,7 +340,7 @@ class AdaptiveEstimator:
         risen_bps = self._dispersion.risen(rate_bps)
         if risen_bps is not None:
             if self._ideas.bands:
-                risen_bps = self._bands.likely(risen_bps, self._rtts[-1][1] if self._rtts else 0)
+                risen_bps = self._bands.likely(risen_bps, self._rtts.newest_ns)
             self._enter(Input.RISE, now_ns)
             self._epoch_ns = arrived[0].sent_ns
             self._change(risen_bps, now_ns)
@@ -367,7 +355,7 @@ class AdaptiveEstimator:
         if self._baseline.on_arrived(arrived, rate_bps, noise_ns, now_ns) or not self._baseline.pausing:
             self._anchor(now_ns)
         if now_ns - self._settled_from_ns > SETTLED_NS:
-            self._bands.settle(rate_bps, self._rtt_ns())
+            self._bands.settle(rate_bps, self._rtts.shortest_ns)
 
     def _anchor(self, now_ns: int) -> None:
         """Set the virtual queue by the newest arrivals: by the least late of some, as noise only adds."""
@@ -393,7 +381,7 @@ class AdaptiveEstimator:
         self._set_queue(queue_ns, now_ns)
         self.pacer.pause(now_ns + queue_ns + self._baseline.pause_ns)
         self._baseline.restart(self.pacer.not_before_ns)
-        self._rtts = self._rtts[-1:]
+        self._rtts.forget_all_but_the_newest()
 
     def _resume(self, rate_bps: float, now_ns: int) -> None:
         """The band is the old one."""
@@ -425,11 +413,11 @@ class AdaptiveEstimator:
 
     def _doubt(self, now_ns: int) -> None:
         """The link may carry more than it did: send trains for a while to see."""
-        self._doubt_until_ns = now_ns + DOUBT_NS + DOUBT_RTTS * self._rtt_ns()
+        self._doubt_until_ns = now_ns + DOUBT_NS + DOUBT_RTTS * self._rtts.shortest_ns
 
     def _look_for_more(self, now_ns: int) -> None:
         """A train, at most twice per round trip, while it is in doubt whether the link carries more."""
-        interval_ns = max(TRAIN_INTERVAL_NS * 3, self._rtts[-1][1] // 2 if self._rtts else 0)
+        interval_ns = max(TRAIN_INTERVAL_NS * 3, self._rtts.newest_ns // 2)
         if max(self.pacer.not_before_ns, self._train_ns + interval_ns) < now_ns < self._doubt_until_ns:
             self._train_ns = now_ns
             longer = min(MOST_LONGER, int(self._noise_ns / LONGER_NOISE_NS))
@@ -441,9 +429,6 @@ class AdaptiveEstimator:
     def _noise_ns(self) -> float:
         """Sigma of one arrival."""
         return 0.7 * self._dispersion.noise_ns
-
-    def _rtt_ns(self) -> int:
-        return min((rtt_ns for _, rtt_ns in self._rtts), default=200 * NS_PER_MS)
 
     def _train_bytes(self, rate_bps: int) -> int:
         airtime_ns = TRAIN_AIRTIME_NS + int(TRAIN_NOISES * self._noise_ns)

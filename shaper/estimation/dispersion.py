@@ -134,12 +134,15 @@ class Dispersion:
 
     def average(self, rate_bps: float) -> float | None:
         """The rate over the last pairs that met a queue; None while there are too few."""
-        window_ns = min(_WINDOW_NS[1], max(_WINDOW_NS[0], _WINDOW_NOISES * self.noise_ns))
+        noise_ns = self.noise_ns
+        window_ns = min(_WINDOW_NS[1], max(_WINDOW_NS[0], _WINDOW_NOISES * noise_ns))
         bits = spread_ns = 0
         for pair in reversed(self._pairs):
+            if not pair.queued:
+                continue
             expected_ns = pair.bits * 1e9 / rate_bps
             off_ns = abs(pair.spread_ns - expected_ns)
-            if pair.queued and off_ns < _NOISE_FACTOR * self.noise_ns + 0.5 * expected_ns:
+            if off_ns < _NOISE_FACTOR * noise_ns + 0.5 * expected_ns:
                 bits, spread_ns = bits + pair.bits, spread_ns + pair.spread_ns
                 if spread_ns >= window_ns:
                     return bits * 1e9 / spread_ns
