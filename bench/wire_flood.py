@@ -1,9 +1,10 @@
 """A stranger's flood on loopback: does the heartbeat's age change?
 
-    python -m bench.wire_flood [--rate 100000] [--seconds 10] [--json]
+    python -m bench.wire_flood [--rate 100000] [--seconds 10] [--initiations] [--json]
 
-First the heartbeat alone, then with random datagrams to the robot's and the operator's shaper's ports.
-On a machine with few processors the flood's own sending is part of the load.
+First the heartbeat alone, then with random datagrams to the operator's shaper's port, or with forged
+initiations that name the link's key. cpu: of that shaper, as a share of one processor. On a machine with
+few processors the flood's own sending is part of the load.
 """
 
 from __future__ import annotations
@@ -23,13 +24,19 @@ import numpy as np
 from bench.wire_rig import BEAT_KEY, WireRig
 from messages.attachment import Stamp
 from shaper.bus import open_bus
+from shaper.handshake import INITIATION, INITIATION_BYTES
+from shaper.key_file import read_key_file
+from straitlink.demo.configs import KEY_FILE
 
 _HZ = 20
 _BURST = 100
 
 
-def _flood(address: str, rate_hz: int, seconds: float, sent: Any) -> None:
-    """Random datagrams of 20 to 200 bytes, in bursts, at the rate or as fast as this process can."""
+def _flood(address: str, rate_hz: int, seconds: float, key_id: bytes, sent: Any) -> None:
+    """Datagrams in bursts, at the rate or as fast as this process can.
+
+    Random ones of 20 to 120 bytes, or initiations that name a key.
+    """
     host, _, port = address.rpartition(":")
     noise = os.urandom(1 << 16)
     target = host, int(port)
@@ -42,7 +49,11 @@ def _flood(address: str, rate_hz: int, seconds: float, sent: Any) -> None:
                 continue
             for index in range(_BURST):
                 at = (count + index) * 61 % 65_000
-                stranger.sendto(noise[at : at + 20 + index], target)
+                if key_id:
+                    body = noise[at : at + INITIATION_BYTES - 1 - len(key_id)]
+                    stranger.sendto(bytes([INITIATION]) + key_id + body, target)
+                else:
+                    stranger.sendto(noise[at : at + 20 + index], target)
             count += _BURST
     sent.value = count
 
@@ -62,21 +73,26 @@ def _beat(rig: WireRig, seconds: float) -> list[float]:
     return [r["age_ns"] / 1e9 for r in records if r["age_ns"] is not None]
 
 
-def measure(rate_hz: int, seconds: float) -> dict[str, Any]:
+def measure(rate_hz: int, seconds: float, *, initiations: bool) -> dict[str, Any]:
     """Ages without and with the flood."""
     with tempfile.TemporaryDirectory() as folder, WireRig(Path(folder)) as rig:
         rig.start_all()
         time.sleep(3)
+        key_id = read_key_file(Path(folder) / KEY_FILE).id if initiations else b""
         calm = _beat(rig, seconds)
         sent = multiprocessing.Value("q", 0)
         attack = multiprocessing.Process(
-            target=_flood, args=(rig.addresses.operator_shaper, rate_hz, seconds, sent)
+            target=_flood, args=(rig.addresses.operator_shaper, rate_hz, seconds, key_id, sent)
         )
         attack.start()
+        cpu_s = rig.cpu_s("operator")
         flooded = _beat(rig, seconds)
+        cpu_s = rig.cpu_s("operator") - cpu_s
         attack.join()
     p95_calm, p95_flooded = (float(np.percentile(ages, 95)) for ages in (calm, flooded))
     return {
+        "kind": "initiations" if initiations else "random",
+        "cpu": round(cpu_s / (seconds + 1), 3),
         "datagrams_per_s": round(sent.value / seconds),
         "heartbeats_calm": len(calm),
         "heartbeats_flooded": len(flooded),
@@ -93,9 +109,10 @@ def main() -> None:
     )
     parser.add_argument("--rate", type=int, default=100_000)
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--initiations", action="store_true")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    result = measure(arguments.rate, arguments.seconds)
+    result = measure(arguments.rate, arguments.seconds, initiations=arguments.initiations)
     if arguments.json:
         print(json.dumps(result, indent=1))
     else:

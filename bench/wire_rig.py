@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -78,6 +79,11 @@ class WireRig:
         """kill -9."""
         self._running[name].kill()
         self._running[name].wait()
+
+    def cpu_s(self, name: str) -> float:
+        """Processor time of a process so far (Linux: proc(5), fields 14 and 15 of stat)."""
+        fields = Path(f"/proc/{self._running[name].pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def bus(self, side: str) -> BusSettings:
         """How to join the bus of a side."""
