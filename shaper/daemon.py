@@ -22,6 +22,7 @@ from shaper.endpoint import Endpoint
 from shaper.errors import ConfigError
 from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
+from shaper.flood_gate import FloodGate
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.handshake import MEMORY_BYTES, Identity
 from shaper.journal_file import JournalFile
@@ -74,7 +75,8 @@ class Daemon:
         self._seen_ns = 0  # the latest instant that the core has been told of
         self._silent = False
         self._outlet: BusOutlet | None = None
-        self._filtered_ids: list[int] = []
+        self._filtered: tuple[list[int], int] = [], 1
+        self._gate = FloodGate(0)
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
 
@@ -201,7 +203,7 @@ class Daemon:
     def _pump(self, now_ns: int) -> None:
         self._seen_ns = now_ns
         wakeup_ns = pump_link(self._link, now_ns, self._send, self._handle)
-        self._filter_strangers()
+        self._filter_strangers(now_ns)
         when_s = wakeup_ns / _NS_PER_S
         if self._timer is not None:
             if self._timer.when() == when_s:
@@ -209,13 +211,14 @@ class Daemon:
             self._timer.cancel()
         self._timer = self._loop.call_at(when_s, self._on_timer)
 
-    def _filter_strangers(self) -> None:
-        """Tell the kernel which session numbers are ours, whenever they change."""
-        session_ids = self._link.channel.session_ids()
-        if self._keys and session_ids != self._filtered_ids:
-            self._filtered_ids = session_ids
-            key_ids = [key.id for key in self._keys] if self._link.channel.ready else []
-            self._udp.take_only(session_ids, key_ids)
+    def _filter_strangers(self, now_ns: int) -> None:
+        """Tell the kernel which session numbers are ours, and how many initiations, whenever that changes."""
+        channel = self._link.channel
+        wanted = channel.session_ids(), self._gate.look(channel.unwanted_initiations, now_ns)
+        if self._keys and wanted != self._filtered:
+            self._filtered = wanted
+            key_ids = [key.id for key in self._keys] if channel.ready else []
+            self._udp.take_only(wanted[0], key_ids, wanted[1])
 
     # What comes out.
 

@@ -15,6 +15,7 @@ class OpenChannel:
     overhead_bytes = 0
     has_control = False
     ready = True
+    unwanted_initiations = 0
     peer: Identity | None = None
 
     def __init__(self, peer: Address) -> None:

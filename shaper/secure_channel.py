@@ -66,7 +66,7 @@ class ChannelCounters:
     forged: int = 0  # a session's number, but not its key
     replayed: int = 0
     failed_handshakes: int = 0  # another key, or none
-    refused_handshakes: int = 0  # more than are answered in a second
+    refused_handshakes: int = 0  # repeated, or more than are answered in a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +152,11 @@ class SecureChannel:
     def session_ids(self) -> list[int]:
         """Numbers under which datagrams may come: for a filter in front of the socket."""
         return [*self._by_id, *self._asked]
+
+    @property
+    def unwanted_initiations(self) -> int:
+        """How many have not been answered: forged, repeated, too many."""
+        return self.counters.failed_handshakes + self.counters.refused_handshakes
 
     def counters_dict(self) -> dict[str, int]:
         """Counters by name."""
@@ -337,10 +342,7 @@ class SecureChannel:
         try:
             message = decode_initiation(data, self._checks[key.id])
             ephemeral = message[:KEY_BYTES]
-            if ephemeral in self._seen_ephemerals:
-                self.counters.replayed += 1
-                return
-            if not self._read_limits[known].allows(now_ns):
+            if ephemeral in self._seen_ephemerals or not self._read_limits[known].allows(now_ns):
                 self.counters.refused_handshakes += 1
                 return
             responder = Responder(key.secret, prologue(other_side(self._side)))

@@ -21,6 +21,7 @@ _KIND_AT = _UDP_BYTES
 _SESSION_AT = _UDP_BYTES + 1
 
 _LOAD_BYTE, _LOAD_HALF, _LOAD_WORD, _LOAD_LENGTH = 0x30, 0x28, 0x20, 0x80
+_RANDOM = 0xFFFF_F000 + 56  # SKF_AD_OFF + SKF_AD_RANDOM: a random word
 _AND, _JUMP_EQUAL, _RETURN = 0x54, 0x15, 0x06
 _TAKE, _DROP = 0xFFFF_FFFF, 0
 _INSTRUCTION = struct.Struct("=HBBI")
@@ -28,17 +29,20 @@ _INSTRUCTION = struct.Struct("=HBBI")
 Instruction = tuple[int, int, int, int]  # code, jump if true, jump if false, constant
 
 
-def filter_program(session_ids: Iterable[int], key_ids: Iterable[bytes] = ()) -> list[Instruction]:
+def filter_program(
+    session_ids: Iterable[int], key_ids: Iterable[bytes] = (), one_in: int = 1
+) -> list[Instruction]:
     """What takes datagrams of these sessions, and handshakes.
 
     key_ids: initiations that name another key are dropped; none while no session is there yet, so that
-    the channel can tell of a key that is not ours.
+    the channel can tell of a key that is not ours. one_in: a power of two; of initiations only one in so
+    many passes, by chance.
     """
     sessions = [int.from_bytes(i.to_bytes(2, "little"), "big") for i in session_ids][:MAX_IDS]
     keys = [int.from_bytes(i, "big") for i in key_ids]
     by_session = [(_LOAD_HALF, 0, 0, _SESSION_AT), *_any_of(sessions)]
     by_key = [(_LOAD_WORD, 0, 0, _SESSION_AT), *_any_of(keys)] if keys else [_end(_TAKE)]
-    initiation = [*_if_length(INITIATION_BYTES), *by_key]
+    initiation = [*_if_length(INITIATION_BYTES), *_by_chance(one_in), *by_key]
     answer = [*_if_length(ANSWER_BYTES), *by_session]
     program: list[Instruction] = [(_LOAD_BYTE, 0, 0, _KIND_AT), (_AND, 0, 0, 0x0F)]
     for kind, block in (
@@ -68,6 +72,13 @@ def _if_length(payload_bytes: int) -> list[Instruction]:
         (_JUMP_EQUAL, 1, 0, _UDP_BYTES + payload_bytes),
         _end(_DROP),
     ]
+
+
+def _by_chance(one_in: int) -> list[Instruction]:
+    """Go on with one in so many, drop the others."""
+    if one_in == 1:
+        return []
+    return [(_LOAD_WORD, 0, 0, _RANDOM), (_AND, 0, 0, one_in - 1), (_JUMP_EQUAL, 1, 0, 0), _end(_DROP)]
 
 
 def _end(verdict: int) -> Instruction:

@@ -81,9 +81,9 @@ class UdpLink:
         except OSError:
             self.send_errors += 1  # mostly "connection refused": nobody listens there at the moment
 
-    def take_only(self, session_ids: Sequence[int], key_ids: Sequence[bytes]) -> bool:
+    def take_only(self, session_ids: Sequence[int], key_ids: Sequence[bytes], one_in: int = 1) -> bool:
         """Have the kernel drop what cannot be the peer's (`shaper.socket_filter`); False if it cannot."""
-        program = encode_program(filter_program(session_ids, key_ids))
+        program = encode_program(filter_program(session_ids, key_ids, one_in))
         buffer = ctypes.create_string_buffer(program)
         count = len(program) // 8
         if self._socket is None or sys.platform != "linux":
