@@ -432,15 +432,9 @@ class Endpoint:
         return incoming
 
     def _make_incoming(self, epoch: int, settled: Settled | None) -> Incoming:
-        settings = self._settings
+        settings, ledgers, tell = self._settings, self.received_ledgers, self._events.append
         incoming = Incoming(
-            epoch,
-            settings.limits,
-            settings.accept,
-            self.received_ledgers,
-            settings.encodings,
-            self._events.append,
-            settled,
+            epoch, settings.limits, settings.accept, ledgers, settings.encodings, tell, settled
         )
         incoming.refuse(self._refused_here)
         return incoming
