@@ -36,6 +36,8 @@ LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we ar
 LEAST_DATAGRAM_BYTES = 180  # on the thinnest links, where a larger one ...
 MOST_AIRTIME_NS = 150 * NS_PER_MS  # ... would take longer than this
 
+REPLIES, REPLY_NS = 3, 40 * NS_PER_MS  # single datagrams between the first trains, to report, so far apart
+RISEN_RATIO = 1.5  # trains this much faster than the old rate are another band's
 TRAIN_DATAGRAMS = 3
 TRAIN_BYTES = 150  # on the wire; small, as the link may be thin now, and large against headers
 TRAIN_AIRTIME_NS = 8 * NS_PER_MS  # of a train's datagram while the rate is known ...
@@ -102,7 +104,7 @@ class AdaptiveEstimator:
         self._epoch_ns = now_ns  # what leaves from then on meets the present band
         self._settled_from_ns = now_ns
         self._hold_from_ns = now_ns
-        self._probes_left = 0
+        self._probes_left = self._replies_left = 0
         self._empty_ns = now_ns  # when the virtual queue runs or ran empty
         self._rtts = RoundTrips()
         self._silent = False  # whether it is the peer's silence for which the link is held
@@ -212,6 +214,10 @@ class AdaptiveEstimator:
                 self._doubt(now_ns)
             self._look_for_more(now_ns)
             self._look_for_overdue(sent_us, now_ns)
+        elif self.state is State.PROBE and self._replies_left and not self._probes_left:
+            if now_ns > self.pacer.sent_ns + REPLY_NS:  # the peer waits to be told of its trains
+                self._replies_left -= 1
+                self.pacer.free = 1
 
     def on_peer_restarted(self, now_ns: int) -> None:
         """Its clock is another; the link is not."""
@@ -246,8 +252,12 @@ class AdaptiveEstimator:
         if self._known_bps is None:
             self._train_interval_ns = max(TRAIN_INTERVAL_NS, self._rtts.shortest_ns // 2)
         known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
+        rate_bps = self._dispersion.of_trains(self._epoch_ns)
         still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
-        rate_bps = known_bps if still else self._dispersion.of_trains(self._epoch_ns)
+        if still and known_bps is not None and (rate_bps is None or rate_bps < RISEN_RATIO * known_bps):
+            rate_bps = known_bps
+        else:
+            still = False
         if rate_bps is not None:
             self._enter(Input.MEASURED, now_ns)
             if still and self._baseline.delay_ns is not None:
@@ -287,8 +297,8 @@ class AdaptiveEstimator:
         queue_ns = 0 if first is None else self._flights.simulate(cautious_bps, first, 0, now_ns)
         self.pacer.set(_whole(cautious_bps), queue_ns, now_ns)
         self.pacer.not_before_ns = now_ns
-        self._probes_left = TRAIN_DATAGRAMS
-        self.pacer.free = TRAIN_DATAGRAMS
+        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
+        self._replies_left = REPLIES
 
     def _pace_trains(self, in_train: bool, now_ns: int) -> None:
         """Trains leave whole, and one after the other has been served at the cautious rate."""
@@ -317,7 +327,7 @@ class AdaptiveEstimator:
         self._hold_from_ns = now_ns
         self._silent = why is Input.SILENCE
         self._silence.deadline_ns = _NEVER_NS
-        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
+        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
         self.pacer.allowance_ns = _NEVER_NS
         self.pacer.not_before_ns = now_ns
 
