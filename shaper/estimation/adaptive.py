@@ -214,10 +214,9 @@ class AdaptiveEstimator:
                 self._doubt(now_ns)
             self._look_for_more(now_ns)
             self._look_for_overdue(sent_us, now_ns)
-        elif self.state is State.PROBE and self._replies_left and not self._probes_left:
-            if now_ns > self.pacer.sent_ns + REPLY_NS:  # the peer waits to be told of its trains
-                self._replies_left -= 1
-                self.pacer.free = 1
+        elif self.state is State.PROBE and now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
+            self._replies_left -= 1  # the peer waits to be told of its trains
+            self.pacer.free = max(1, self.pacer.free)
 
     def on_peer_restarted(self, now_ns: int) -> None:
         """Its clock is another; the link is not."""
@@ -264,6 +263,7 @@ class AdaptiveEstimator:
                 self._resume(rate_bps, now_ns)
             else:
                 self._change(rate_bps, now_ns)
+                self._doubt(now_ns)  # few trains, perhaps with noise: it may be more
         elif self.state is State.HOLD and not self._silent:
             self._enter(Input.HEARD, now_ns)
             self._begin_probing(now_ns)
@@ -359,6 +359,8 @@ class AdaptiveEstimator:
         average_bps = self._dispersion.average(rate_bps)
         if average_bps is not None:
             rate_bps += FOLLOW * (average_bps - rate_bps)
+            if rate_bps > self._centre_bps * DRIFT_RATIO:
+                self._doubt(now_ns)
             rate_bps = min(self._centre_bps * DRIFT_RATIO, max(self._centre_bps / DRIFT_RATIO, rate_bps))
             self._centre_bps += 0.002 * (rate_bps - self._centre_bps)
             self._set_rate(rate_bps)

@@ -27,6 +27,7 @@ _TRAIN_GAP = 0.5  # of what a datagram takes at the known rate: so close togethe
 _TESTED_PAIRS = 60  # as far back as a fall or a rise may show
 _EXPANDED = 0.8  # gap over spread, below which the second datagram has surely waited
 _TRAIN_EXPANDED = 0.6
+_CLUMPING_NS, _CLUMPED_PAIRS = 2_000_000, 6  # noise that makes whole trains arrive at once
 _STILL_RATIO = 0.8
 _WINDOW_NOISES = 200  # the average runs over so many sigma of arrivals: within 1 % of the rate ...
 _WINDOW_NS = (250_000_000, 4_000_000_000)  # ... but within these bounds
@@ -151,6 +152,14 @@ class Dispersion:
     def still(self, since_ns: int, known_bps: float) -> bool:
         """Whether what left since then arrived as close as only about the known rate allows."""
         pairs = [p for p in self._pairs if p.sent_ns >= since_ns and p.measurable]
+        if self.noise_ns > _CLUMPING_NS:  # then clumps are measurements too, over several trains
+            trains = [
+                p
+                for p in self._pairs
+                if p.sent_ns >= since_ns and p.gap_ns * known_bps < _TRAIN_GAP * p.bits * 1e9
+            ]
+            if len(trains) >= _CLUMPED_PAIRS and _ratio(trains) >= _STILL_RATIO * known_bps:
+                return True
         if len(pairs) < 2:
             return False
         closest = sorted(pairs, key=lambda p: p.spread_ns / p.bits)[: max(2, len(pairs) // 2)]
@@ -178,4 +187,4 @@ class Dispersion:
 
 def _ratio(pairs: Iterable[Pair]) -> float:
     pairs = list(pairs)
-    return sum(p.bits for p in pairs) * 1e9 / sum(p.spread_ns for p in pairs)
+    return sum(p.bits for p in pairs) * 1e9 / max(1, sum(p.spread_ns for p in pairs))
