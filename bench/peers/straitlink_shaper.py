@@ -73,10 +73,6 @@ def config(session: Session) -> str:
             "peer": f"{session.peer_address}:{_PORT}",
             "accept": session.keys(ours=False),
             "keys": [_KEY_FILE],
-            "bands": [
-                {"name": "fast", "rate_bps": 1_000_000, "one_way_delay_ms": 50},
-                {"name": "thin", "rate_bps": 100_000, "one_way_delay_ms": 500},
-            ],
         },
         "zenoh": {"connect": [_BUS]},
         "topics": rows,
