@@ -88,7 +88,7 @@ class _LinkTable(_Table):
     peer: str
     max_datagram_bytes: Annotated[int, Field(ge=300, le=1472)] = 1200
     pace_ratio: Annotated[float, Field(gt=0, le=1)] = 0.95
-    estimator: Literal["presets", "adaptive"] = "adaptive"
+    estimator: Literal["presets", "adaptive"] = "presets"
     bands: list[_BandTable] = []
     accept: list[str] = ["**"]
     keys: list[str] = []
@@ -189,7 +189,7 @@ class ShaperConfig:
     endpoint: EndpointSettings
     bands: tuple[PresetBand, ...]
     pace_ratio: float
-    estimator: Literal["presets", "adaptive"] = "adaptive"
+    estimator: Literal["presets", "adaptive"] = "presets"
     metrics: tuple[str, int] | None = None
     key_files: tuple[Path, ...] = ()
     open_link: bool = False
