@@ -73,6 +73,7 @@ def config(session: Session) -> str:
             "peer": f"{session.peer_address}:{_PORT}",
             "accept": session.keys(ours=False),
             "keys": [_KEY_FILE],
+            "estimator": "adaptive",
         },
         "zenoh": {"connect": [_BUS]},
         "topics": rows,
