@@ -18,7 +18,7 @@ from perception_server.history import HistoryLimits
 from perception_server.scan_geometry import ScanPlacement, SelfBox
 from perception_server.sensors import check_request
 from shaper.bus import BusSettings
-from shaper.config import describe_validation_error
+from shaper.config_tables import describe_validation_error
 from shaper.errors import ConfigError
 from shaper.key_expression import is_key
 

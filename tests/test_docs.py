@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from shaper.config import _TABLES, _ShaperTable
+from shaper.config_tables import TABLES, ShaperTable
 from shaper.frames import HEADER_BYTES, IP_UDP_BYTES
 from shaper.incoming import Limits
 from shaper.traffic_class import DEFAULT_CLASSES
@@ -42,7 +42,7 @@ def test_the_table_of_classes_is_that_of_the_code() -> None:
 
 def test_every_key_of_the_configuration_is_described() -> None:
     text = (DOCS / "configuration.md").read_text()
-    for table in (*_TABLES.values(), _ShaperTable):
+    for table in (*TABLES.values(), ShaperTable):
         for field, info in table.model_fields.items():
             name = info.alias or field
             assert (

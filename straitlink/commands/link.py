@@ -97,17 +97,14 @@ def link(
             _finish(_run_tun(resolved, robot, operator, seed, linger, trace))
         if way is Way.NETEM:
             _finish(run_veth(VethSettings(resolved, robot, operator, linger, packet_bytes)))
-        again = [
-            "--profile",
-            profile,
-            "--netem",
-            "--linger",
-            str(linger),
-            "--packet-bytes",
-            str(packet_bytes),
-        ]
-        inside = [sys.executable, "-m", "straitlink", "link", *again, "--", *robot, _SEPARATOR, *operator]
-        raise typer.Exit(run_guest(inside, timeout))
+        options = ["--profile", profile, "--linger", str(linger), "--packet-bytes", str(packet_bytes)]
+        raise typer.Exit(run_guest(_netem_inside(options, robot, operator), timeout))
+
+
+def _netem_inside(options: list[str], robot: list[str], operator: list[str]) -> list[str]:
+    """This command once more, by netem, for the guest's kernel."""
+    again = [sys.executable, "-m", "straitlink", "link", "--netem", *options]
+    return [*again, "--", *robot, _SEPARATOR, *operator]
 
 
 def _the_way(asked: dict[Way, bool]) -> Way:

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, ValidationError
 
-from shaper.config import ClassTable, class_from_table, describe_validation_error
+from shaper.config import class_from_table
+from shaper.config_tables import ClassTable, describe_validation_error
 from shaper.errors import ConfigError
 from shaper.key_expression import check_key_expression, is_key
 from shaper.traffic_class import DEFAULT_CLASSES, Compression, TopicRule, TrafficClass
