@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from shaper.datagram import append_known, append_ledger, append_receipt, append_report
-from shaper.frames import KnownFrame, LedgerFrame, ReceiptFrame
+from shaper.datagram import append_estimate, append_known, append_ledger, append_receipt, append_report
+from shaper.estimate_exchange import EstimateExchange
+from shaper.events import LinkState
+from shaper.frames import EstimateFrame, KnownFrame, LedgerFrame, ReceiptFrame
 from shaper.incoming import Incoming
 from shaper.ledger_exchange import LedgerExchange
 from shaper.outgoing import Outgoing
@@ -18,6 +20,7 @@ class ControlFrames:
 
     def __init__(self, epoch: int, outgoing: Outgoing, timers: Timers) -> None:
         self.ledgers = LedgerExchange(epoch)
+        self.estimates = EstimateExchange()
         self._epoch = epoch
         self._outgoing = outgoing
         self._timers = timers
@@ -37,14 +40,27 @@ class ControlFrames:
         append_receipt(out, frame)
         return (content,)
 
-    def append_ledgers(self, out: bytearray, incoming: Incoming) -> None:
-        """Append counters that have changed, some at a time."""
+    def append_beat(self, out: bytearray, incoming: Incoming, state: LinkState, now_ns: int) -> None:
+        """Append what our direction is taken for, and counters that have changed, some at a time."""
+        append_estimate(out, self.estimates.take(state, now_ns))
         for ledger in self.ledgers.take(self._outgoing, incoming):
             append_ledger(out, ledger)
 
-    def on_frame(self, frame: KnownFrame | ReceiptFrame | LedgerFrame, incoming: Incoming) -> None:
+    def on_peer_restarted(self) -> None:
+        """The peer has to be told everything anew, and has told nothing."""
+        self.ledgers.on_peer_restarted()
+        self.estimates.on_peer_restarted()
+
+    def on_frame(
+        self,
+        frame: EstimateFrame | KnownFrame | ReceiptFrame | LedgerFrame,
+        incoming: Incoming,
+        now_ns: int,
+    ) -> None:
         """Take what the peer tells, unless it speaks to our former self."""
-        if isinstance(frame, LedgerFrame) and frame.sent_half:
+        if isinstance(frame, EstimateFrame):
+            self.estimates.on_frame(frame, now_ns)
+        elif isinstance(frame, LedgerFrame) and frame.sent_half:
             self.ledgers.on_sent_half(frame, incoming)
         elif frame.epoch != self._epoch:
             return

@@ -44,6 +44,7 @@ from shaper.trace_records import (
     SentBins,
     event_record,
     ledger_record,
+    receiving_record,
     start_record,
 )
 from shaper.traffic_class import Keep, first_match
@@ -309,10 +310,13 @@ class Daemon:
     def _tell_link(self, state: LinkState) -> None:
         now_ns = time.monotonic_ns()
         watch, peer = self._link.watch, self._link.channel.peer_address
+        told = state.receiving
         self._tell(
             "link",
             {
                 **asdict(state),
+                "sends": self._sends,
+                "receiving": told and {**receiving_record(told), "age_ns": now_ns - told.told_ns},
                 "secured": bool(self._keys) and self._link.channel.ready,
                 "peer": f"{peer[0]}:{peer[1]}",
                 "last_heard_age_ns": self._link.silence_ns(now_ns),

@@ -16,10 +16,12 @@ from shaper.errors import DecodeError
 from shaper.frames import (
     ARRIVED_BITS,
     HEADER_BYTES,
+    MAX_BAND_BYTES,
     MAX_SHARES,
     RECEIVED_COUNTERS,
     SENT_COUNTERS,
     VERSION,
+    EstimateFrame,
     Frame,
     Header,
     HelloFrame,
@@ -42,6 +44,7 @@ _LEDGER, _MESSAGE, _PART, _REPORT, _HELLO, _KNOWN, _RECEIPT, _SKIP = range(8)
 _TYPE_MASK = 0x07
 _NAMED, _LATEST, _COMPRESSED, _RELIABLE, _CODED = 0x08, 0x10, 0x20, 0x40, 0x80
 _PADDING = 0x08  # of a hello: it is none, but so many zero bytes
+_ESTIMATE, _WITH_BAND, _HOLDING = 0x10, 0x20, 0x40  # of a hello: it is none, but an estimate
 _SENT_HALF = 0x08  # of a ledger frame: the sender's counters, not the receiver's
 
 _OUTCOMES = frozenset(Outcome)
@@ -135,6 +138,19 @@ def append_hello(out: bytearray, frame: HelloFrame) -> None:
     """Write the sender's wall clock."""
     out.append(_HELLO)
     out += _HELLO_BODY.pack(frame.unix_ns)
+
+
+def append_estimate(out: bytearray, frame: EstimateFrame) -> None:
+    """Write what the sender takes its own direction for; a band's name is cut to MAX_BAND_BYTES."""
+    with_band, holding = _WITH_BAND if frame.band is not None else 0, _HOLDING if frame.holding else 0
+    out.append(_HELLO | _ESTIMATE | with_band | holding)
+    append_varint(out, frame.rate_bps)
+    append_varint(out, frame.queue_ms)
+    out += bytes(round(255 * ratio) for ratio in (frame.loss_ratio, frame.confidence))
+    if frame.band is not None:
+        name = frame.band.encode()[:MAX_BAND_BYTES].decode(errors="ignore").encode()
+        out.append(len(name))
+        out += name
 
 
 def append_padding(out: bytearray, frame: PaddingFrame) -> None:
@@ -312,7 +328,28 @@ def _read_hello(data: bytes, at: int) -> tuple[Frame, int]:
         count, at = read_varint(data, at + 1)
         _, at = _take(data, at, count)
         return PaddingFrame(count), at
+    if data[at] & _ESTIMATE:
+        return _read_estimate(data, at)
     return HelloFrame(_unpack(_HELLO_BODY, data, at + 1)[0]), at + 1 + _HELLO_BODY.size
+
+
+def _read_estimate(data: bytes, at: int) -> tuple[Frame, int]:
+    kind = data[at]
+    rate_bps, at = read_varint(data, at + 1)
+    queue_ms, at = read_varint(data, at)
+    (loss, confidence), at = _take(data, at, 2)
+    band = None
+    if kind & _WITH_BAND:
+        (size,), at = _take(data, at, 1)
+        if size > MAX_BAND_BYTES:
+            raise DecodeError(f"a band's name of {size} bytes is longer than {MAX_BAND_BYTES}")
+        raw, at = _take(data, at, size)
+        try:
+            band = raw.decode()
+        except UnicodeDecodeError as error:
+            raise DecodeError(f"a band's name before byte {at} is not UTF-8") from error
+    holding = bool(kind & _HOLDING)
+    return EstimateFrame(rate_bps, queue_ms, loss / 255, confidence / 255, holding, band), at
 
 
 def _read_known(data: bytes, at: int) -> tuple[Frame, int]:

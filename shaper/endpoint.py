@@ -18,6 +18,7 @@ from shaper.events import Event, LinkState, PeerStarted, Wanted
 from shaper.frames import (
     HEADER_BYTES,
     IP_UDP_BYTES,
+    EstimateFrame,
     Header,
     HelloFrame,
     KnownFrame,
@@ -290,6 +291,7 @@ class Endpoint:
             holding=self.holding,
             queue_ns=estimator.queue_ns,
             confidence=estimator.confidence,
+            receiving=self._control.estimates.theirs,
         )
 
     # Sending.
@@ -315,9 +317,9 @@ class Endpoint:
             contents = self._control.append(out, incoming, now_ns, report_due=due.report)
         if due.beat:
             self._timers.on_beat(now_ns, searching=incoming is None)
-            self._events.append(self.link_state())
+            self._events.append(state := self.link_state())
             if incoming is not None:
-                self._control.append_ledgers(out, incoming)
+                self._control.append_beat(out, incoming, state, now_ns)
         if due.beat or due.probe or not self._path.reported:
             append_hello(out, HelloFrame(now_ns // 1000 * 1000 + self._unix_minus_monotonic_ns))
             return True, contents
@@ -412,10 +414,8 @@ class Endpoint:
                     self._on_report(frame, sent_us, incoming, now_ns)
                 case HelloFrame():
                     incoming.on_hello(frame, sent_us)
-                case PaddingFrame():
-                    pass
-                case KnownFrame() | ReceiptFrame() | LedgerFrame():
-                    self._control.on_frame(frame, incoming)
+                case EstimateFrame() | KnownFrame() | ReceiptFrame() | LedgerFrame():
+                    self._control.on_frame(frame, incoming, now_ns)
         self._estimator.on_heard(header.number, sent_us, PROMISES_NS[header.promise], now_ns)
 
     def _meet_peer(self, epoch: int, now_ns: int, *, remembers: bool = False) -> Incoming:
@@ -423,7 +423,7 @@ class Endpoint:
         again = self._incoming is not None
         if again:
             self._outgoing.on_peer_restarted(remembers=remembers)
-            self._control.ledgers.on_peer_restarted()
+            self._control.on_peer_restarted()
             self._path.on_peer_restarted()
             self._estimator.on_peer_restarted(now_ns)
         self._incoming = incoming = self._lives.begin(epoch)

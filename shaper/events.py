@@ -92,6 +92,22 @@ class PeerStarted:
 
 
 @dataclass(frozen=True, slots=True)
+class PeerEstimate:
+    """What the peer takes its sending direction for, which is the one that we receive by, as it told.
+
+    Fields as in LinkState. band: empty while it has not been told. told_ns: when that came, by our clock.
+    """
+
+    rate_bps: int
+    band: str
+    loss_ratio: float
+    holding: bool
+    queue_ns: int
+    confidence: float
+    told_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class LinkState:
     """What this side believes of its own sending direction.
 
@@ -99,7 +115,7 @@ class LinkState:
     rtt_ns: newest round-trip time without the peer's holding time; None before the first report.
     loss_ratio: of the packets reported on lately. holding: only classes with always_send may leave.
     queue_ns: how long the link is taken to need for what it holds. confidence: 0 (blind) to 1 (measured and
-    steady).
+    steady). receiving: the other direction; None while the peer has not told of it lately.
     """
 
     rate_bps: int
@@ -111,6 +127,7 @@ class LinkState:
     holding: bool
     queue_ns: int = 0
     confidence: float = 1.0
+    receiving: PeerEstimate | None = None
 
 
 Event = (

@@ -14,6 +14,7 @@ EPOCH_BITS = 16
 MESSAGE_NUMBER_BITS = 16
 ARRIVED_BITS = 64
 MAX_SHARES = 256  # source and repair together: the code works in GF(2^8)
+MAX_BAND_BYTES = 32  # of a band's name in an estimate
 SENT_COUNTERS, RECEIVED_COUNTERS = 10, 6  # in a row of a ledger frame
 
 
@@ -102,6 +103,22 @@ class HelloFrame:
 
 
 @dataclass(frozen=True, slots=True)
+class EstimateFrame:
+    """What the sender takes its own direction for, so that people see both directions at either end.
+
+    rate_bps: paced at, on the wire. queue_ms: what the link is taken to hold. loss_ratio, confidence: 0 to 1,
+    in steps of 1/255. holding: little leaves. band: at most MAX_BAND_BYTES of UTF-8; None: as told before.
+    """
+
+    rate_bps: int
+    queue_ms: int
+    loss_ratio: float
+    confidence: float
+    holding: bool = False
+    band: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class PaddingFrame:
     """Bytes that say nothing: a datagram that is sent to be timed needs a size."""
 
@@ -156,6 +173,7 @@ Frame = (
     MessageFrame
     | ReportFrame
     | HelloFrame
+    | EstimateFrame
     | PaddingFrame
     | KnownFrame
     | ReceiptFrame

@@ -12,6 +12,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from shaper.endpoint import Endpoint
+from shaper.events import LinkState, PeerEstimate
 from shaper.ledger import ReceivedLedger, SentLedger
 
 
@@ -79,16 +80,31 @@ class _ShaperCollector(Collector):
             datagrams.add_metric([name], value)
         yield datagrams
         state = endpoint.link_state()
-        text = "Of this side's sending direction."
-        gauges: tuple[tuple[str, float], ...] = (
-            ("rate_bps", state.rate_bps),
-            ("rtt_seconds", (state.rtt_ns or 0) / 1e9),
-            ("in_flight_bytes", state.in_flight_bytes),
-            ("loss_ratio", state.loss_ratio),
-            ("holding", float(state.holding)),
+        yield from _gauges(
+            "straitlink_link",
+            "Of this side's sending direction.",
+            rtt_seconds=(state.rtt_ns or 0) / 1e9,
+            in_flight_bytes=state.in_flight_bytes,
+            **_of_estimate(state),
         )
-        for name, gauge in gauges:
-            yield GaugeMetricFamily(f"straitlink_link_{name}", text, value=gauge)
+        if state.receiving is not None:
+            text = "Of the direction that this side receives by, as the other side told."
+            yield from _gauges("straitlink_link_receiving", text, **_of_estimate(state.receiving))
+
+
+def _of_estimate(state: LinkState | PeerEstimate) -> dict[str, float]:
+    return {
+        "rate_bps": state.rate_bps,
+        "loss_ratio": state.loss_ratio,
+        "holding": float(state.holding),
+        "queue_seconds": state.queue_ns / 1e9,
+        "confidence": state.confidence,
+    }
+
+
+def _gauges(prefix: str, text: str, **values: float) -> Iterator[Metric]:
+    for name, value in values.items():
+        yield GaugeMetricFamily(f"{prefix}_{name}", text, value=value)
 
 
 def _by_topic(

@@ -6,7 +6,16 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 from shaper.endpoint import Endpoint
-from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
+from shaper.events import (
+    Delivered,
+    EncodingTrouble,
+    Event,
+    LinkState,
+    PeerEstimate,
+    PeerStarted,
+    Receipt,
+    Wanted,
+)
 from shaper.notices import Notice
 from shaper.operator_lost import OperatorBack, OperatorLost
 
@@ -47,6 +56,7 @@ def event_record(event: Event, t_ns: int) -> Record:
                 "holding": event.holding,
                 "queue_ns": event.queue_ns,
                 "confidence": event.confidence,
+                "receiving": None if event.receiving is None else receiving_record(event.receiving),
             }
         case Receipt(key, tag, stage):
             return {"event": "receipt", "t_ns": t_ns, "topic": key, "tag": tag, "stage": stage.value}
@@ -69,6 +79,18 @@ def event_record(event: Event, t_ns: int) -> Record:
             return {"event": "operator_back", "t_ns": t_ns, "silent_ns": silent_ns}
         case Notice(kind, text):
             return {"event": "notice", "t_ns": t_ns, "kind": kind.value, "text": text}
+
+
+def receiving_record(told: PeerEstimate) -> Record:
+    """What the peer takes its direction for, under the names that our own has."""
+    return {
+        "rate_bps": told.rate_bps,
+        "band": told.band,
+        "loss_ratio": told.loss_ratio,
+        "holding": told.holding,
+        "queue_ns": told.queue_ns,
+        "confidence": told.confidence,
+    }
 
 
 def ledger_record(endpoint: Endpoint, sends: Direction, t_ns: int) -> Record:

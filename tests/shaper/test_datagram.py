@@ -16,6 +16,7 @@ from shaper.datagram import (
 from shaper.errors import DecodeError
 from shaper.frames import (
     HEADER_BYTES,
+    EstimateFrame,
     Frame,
     Header,
     HelloFrame,
@@ -158,6 +159,8 @@ GOLDEN_DATAGRAMS: dict[str, tuple[Header, list[Frame]]] = {
         [ReportFrame(0xCAFE, 99, 7, 98, ((1, 950),), bytes.fromhex("f7fffffffffdffff"))],
     ),
     "padding": (HEADER, [PaddingFrame(5)]),
+    "estimate": (HEADER, [EstimateFrame(949_512, 48, 51 / 255, 1.0, band="950 kbit/s 50 ms")]),
+    "estimate, as before": (HEADER, [EstimateFrame(60_000, 0, 0.0, 0.0, holding=True)]),
     "receipt": (
         HEADER,
         [ReceiptFrame(0xCAFE, ((2, 300, Outcome.DELIVERED), (300, 65535, Outcome.EXPIRED)))],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from shaper.datagram import (
+    append_estimate,
     append_hello,
     append_known,
     append_ledger,
@@ -21,6 +22,7 @@ from shaper.frames import (
     MAX_SHARES,
     RECEIVED_COUNTERS,
     SENT_COUNTERS,
+    EstimateFrame,
     Frame,
     Header,
     HelloFrame,
@@ -77,6 +79,8 @@ def message_frames(draw: st.DrawFn, back: st.SearchStrategy[int] = VARINT) -> Me
 
 
 ARRIVED = st.one_of(st.just(b""), st.binary(max_size=ARRIVED_BITS // 8))
+BYTE_RATIOS = st.integers(0, 255).map(lambda byte: byte / 255)
+BAND_NAMES = st.none() | st.text(max_size=32).filter(lambda name: len(name.encode()) <= 32)
 RECEIPTS = st.lists(st.tuples(VARINT, U16, st.sampled_from(Outcome)), max_size=10).map(tuple)
 
 
@@ -95,6 +99,7 @@ FRAMES = st.one_of(
     ),
     st.builds(HelloFrame, st.integers(-(1 << 63), (1 << 63) - 1)),
     st.builds(PaddingFrame, st.integers(0, 300)),
+    st.builds(EstimateFrame, VARINT, VARINT, BYTE_RATIOS, BYTE_RATIOS, st.booleans(), BAND_NAMES),
     st.builds(KnownFrame, U16, st.lists(VARINT, max_size=10).map(tuple)),
     st.builds(ReceiptFrame, U16, RECEIPTS),
     st.builds(SkipFrame, VARINT, U16, NAMES),
@@ -116,6 +121,8 @@ def encode(header: Header, frames: list[Frame]) -> bytes:
                 append_hello(out, frame)
             case PaddingFrame():
                 append_padding(out, frame)
+            case EstimateFrame():
+                append_estimate(out, frame)
             case KnownFrame():
                 append_known(out, frame)
             case ReceiptFrame():

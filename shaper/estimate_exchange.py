@@ -1,0 +1,58 @@
+"""Each end tells the other what it takes its own direction for, once a second in about ten bytes."""
+
+from __future__ import annotations
+
+from shaper.events import LinkState, PeerEstimate
+from shaper.frames import EstimateFrame
+from shaper.varint import MAX_VALUE
+
+STALE_NS = 5_000_000_000  # what was told longer ago is not shown as if it were so
+_NAMED_BEATS = 3  # a band's name goes out so often when it is new, as datagrams get lost, ...
+_NAME_EVERY = 8  # ... and with every so many later beats
+_NS_PER_MS = 1_000_000
+
+
+class EstimateExchange:
+    """What the peer has told of its direction, and how much of ours it has to be told."""
+
+    def __init__(self) -> None:
+        self.theirs: PeerEstimate | None = None  # the direction that we receive by, if told of lately
+        self._band = ""  # the peer's, by the last name that came
+        self._told_band = ""  # ours, as told
+        self._told = 0  # so many beats ago, and longer
+
+    def on_peer_restarted(self) -> None:
+        """Another life of the peer has told nothing, and knows nothing of ours."""
+        self.theirs, self._band = None, ""
+        self._told_band, self._told = "", 0
+
+    def take(self, state: LinkState, now_ns: int) -> EstimateFrame:
+        """What to tell now of our direction."""
+        if self.theirs is not None and now_ns - self.theirs.told_ns > STALE_NS:
+            self.theirs = None
+        if state.band != self._told_band:
+            self._told_band, self._told = state.band, 0
+        named = self._told < _NAMED_BEATS or self._told % _NAME_EVERY == 0
+        self._told += 1
+        return EstimateFrame(
+            min(state.rate_bps, MAX_VALUE),
+            min(max(0, state.queue_ns) // _NS_PER_MS, MAX_VALUE),
+            min(1.0, max(0.0, state.loss_ratio)),
+            min(1.0, max(0.0, state.confidence)),
+            state.holding,
+            state.band if named else None,
+        )
+
+    def on_frame(self, frame: EstimateFrame, now_ns: int) -> None:
+        """The peer tells what it takes its direction for."""
+        if frame.band is not None:
+            self._band = frame.band
+        self.theirs = PeerEstimate(
+            frame.rate_bps,
+            self._band,
+            round(frame.loss_ratio, 4),
+            frame.holding,
+            frame.queue_ms * _NS_PER_MS,
+            round(frame.confidence, 2),
+            now_ns,
+        )
