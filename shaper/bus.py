@@ -6,9 +6,11 @@ import contextlib
 import json
 import queue
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import zenoh
 
@@ -17,6 +19,7 @@ from shaper.key_expression import matches
 Session = zenoh.Session
 
 _MAX_KEYS_REMEMBERED = 8192  # of subscriptions and of publishers
+_LISTENER_POLL_S = 0.005
 
 # Two buses on one machine must meet only through the link. Scouting would let them find each other,
 # and Zenoh's implicit shared memory would carry payloads of 3 kB and more around an emulated link.
@@ -191,6 +194,7 @@ class _Put:
     encoding: str = ""
     attachment: bytes = b""
     on_put: Callable[[], None] | None = None
+    patient_until_s: float = 0.0
 
 
 class BusOutlet:
@@ -205,6 +209,8 @@ class BusOutlet:
         self._session = session
         self._queue: queue.Queue[_Put | None] = queue.Queue(max_messages)
         self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
+        self._awaiting: dict[str, deque[_Put]] = {}  # by key, what waits for somebody to listen
+        self._max_awaiting = max_messages // 2  # one more is put at once
         self._thread = threading.Thread(target=self._run, name="bus-outlet", daemon=True)
         self._thread.start()
 
@@ -215,9 +221,14 @@ class BusOutlet:
         encoding: str,
         attachment: bytes,
         on_put: Callable[[], None] | None = None,
+        patient_until_s: float = 0.0,
     ) -> bool:
-        """Publish a message soon; False if it was dropped. on_put: called in the outlet's thread."""
-        return self._enqueue(_Put(key, payload, encoding, attachment, on_put))
+        """Publish a message soon; False if it was dropped. on_put: called in the outlet's thread.
+
+        patient_until_s: until then (monotonic clock) it may wait for the key to have a subscriber. What
+        connects to a bus that was away does so seconds after it is back.
+        """
+        return self._enqueue(_Put(key, payload, encoding, attachment, on_put, patient_until_s))
 
     def withdraw(self, key: str) -> bool:
         """Delete what was published on a key."""
@@ -238,16 +249,57 @@ class BusOutlet:
         self._thread.join(timeout=1)
 
     def _run(self) -> None:
-        while (item := self._queue.get()) is not None:
+        while True:
             try:
-                if item.payload is None:
-                    self._session.delete(item.key)
-                else:
-                    self._publisher(item.key, item.encoding).put(item.payload, attachment=item.attachment)
-            except zenoh.ZError:  # the session is closing, or the key is none: nothing else may stop here
-                self.dropped += 1
-            if item.on_put is not None:
-                item.on_put()
+                item = self._queue.get(timeout=_LISTENER_POLL_S if self._awaiting else None)
+            except queue.Empty:
+                self._put_what_is_listened_to(time.monotonic())
+                continue
+            if item is None:
+                break
+            if self._awaiting or item.patient_until_s:
+                now_s = time.monotonic()
+                self._put_what_is_listened_to(now_s)
+                if self._must_wait(item, now_s):
+                    self._awaiting.setdefault(item.key, deque()).append(item)
+                    continue
+            self._put(item)
+        self._put_what_is_listened_to(float("inf"))
+
+    def _must_wait(self, item: _Put, now_s: float) -> bool:
+        """Whether nobody listens yet; and nothing overtakes what waits on its key."""
+        if item.key in self._awaiting:
+            return True
+        if now_s >= item.patient_until_s or sum(map(len, self._awaiting.values())) >= self._max_awaiting:
+            return False
+        return not self._has_listener(item)
+
+    def _put_what_is_listened_to(self, now_s: float) -> None:
+        for key, waiting in list(self._awaiting.items()):
+            while waiting and (now_s >= waiting[0].patient_until_s or self._has_listener(waiting[0])):
+                self._put(waiting.popleft())
+            if not waiting:
+                del self._awaiting[key]
+
+    def _has_listener(self, item: _Put) -> bool:
+        try:
+            status: Any = self._publisher(
+                item.key, item.encoding
+            ).matching_status  # no bool, as its stub says
+            return bool(status.matching)
+        except zenoh.ZError:  # the put will meet the same, and count it
+            return True
+
+    def _put(self, item: _Put) -> None:
+        try:
+            if item.payload is None:
+                self._session.delete(item.key)
+            else:
+                self._publisher(item.key, item.encoding).put(item.payload, attachment=item.attachment)
+        except zenoh.ZError:  # the session is closing, or the key is none: nothing else may stop here
+            self.dropped += 1
+        if item.on_put is not None:
+            item.on_put()
 
     def _publisher(self, key: str, encoding: str) -> zenoh.Publisher:
         publisher = self._publishers.get((key, encoding))

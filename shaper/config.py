@@ -53,7 +53,7 @@ class ShaperConfig:
     endpoint: EndpointSettings
     bands: tuple[PresetBand, ...]
     pace_ratio: float
-    estimator: Literal["presets", "adaptive"] = "presets"
+    estimator: Literal["presets", "adaptive"] = "adaptive"
     metrics: tuple[str, int] | None = None
     key_files: tuple[Path, ...] = ()
     open_link: bool = False

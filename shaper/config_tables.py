@@ -88,7 +88,7 @@ class LinkTable(_Table):
     peer: str
     max_datagram_bytes: Annotated[int, Field(ge=300, le=1472)] = 1200
     pace_ratio: Annotated[float, Field(gt=0, le=1)] = 0.95
-    estimator: Literal["presets", "adaptive"] = "presets"
+    estimator: Literal["presets", "adaptive"] = "adaptive"
     bands: list[BandTable] = []
     accept: list[str] = ["**"]
     keys: list[str] = []

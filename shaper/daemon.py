@@ -54,6 +54,7 @@ _NS_PER_S = 1_000_000_000
 _BUS_RETRY_S = 1.0
 _SILENCE_NS = 5 * _NS_PER_S  # after which a person should know
 _HAND_OVER_S = 0.005
+_LISTENERS_S = 5.0  # after the bus is up: Zenoh tries to connect again every four seconds at most
 _GATHER_S = 0.005  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
@@ -76,6 +77,7 @@ class Daemon:
         self._seen_ns = 0  # the latest instant that the core has been told of
         self._silent = False
         self._outlet: BusOutlet | None = None
+        self._listeners_until_s = 0.0  # until then what must not be lost waits for somebody to listen
         self._filtered: tuple[list[int], int] = [], 1
         self._gate = FloodGate(0)
         self._due_on_bus: deque[Callable[[], bool]] = deque()
@@ -101,6 +103,7 @@ class Daemon:
                 return
             stack.callback(session.close)
             outlet = self._outlet = BusOutlet(session)
+            self._listeners_until_s = time.monotonic() + _LISTENERS_S
             stack.callback(outlet.close)
             if self._config.metrics is not None:
                 stack.callback(
@@ -237,7 +240,7 @@ class Daemon:
         elif isinstance(event, PeerStarted):
             _log.info("the other side %s", "has started anew" if event.again else "is heard")
         elif isinstance(event, Receipt):
-            self._tell(f"receipt/{event.key}", receipt_document(event))
+            self._tell(f"receipt/{event.key}", receipt_document(event), self._listeners_until_s)
         elif isinstance(event, EncodingTrouble):
             _log.warning("%s: %d %s: %s", event.key, event.count, event.what, event.reason)
             self._tell(f"encoding/{event.key}", asdict(event))
@@ -267,7 +270,10 @@ class Daemon:
             with contextlib.suppress(RuntimeError):  # the loop is closed: so is the journal
                 self._loop.call_soon_threadsafe(self._note_when_handed_over, done)
 
-        put = partial(self._outlet.publish, event.key, event.payload, event.encoding, attachment, on_put)
+        until_s = min(self._listeners_until_s, time.monotonic() + event.left_ns / _NS_PER_S)
+        put = partial(
+            self._outlet.publish, event.key, event.payload, event.encoding, attachment, on_put, until_s
+        )
         self._due_on_bus.append(put)
         if len(self._due_on_bus) == 1:
             self._put_what_is_due()
@@ -357,10 +363,13 @@ class Daemon:
         else:
             _log.info("the other side is heard again")
 
-    def _tell(self, name: str, document: Mapping[str, object]) -> None:
+    def _tell(self, name: str, document: Mapping[str, object], patient_until_s: float = 0.0) -> None:
         """Publish something about the link itself on the local bus; wildcards do not match it."""
+        assert self._outlet is not None, "nothing comes in before the bus is open"
         payload = json.dumps(document, separators=(",", ":")).encode()
-        self._publish(f"@straitlink/{name}", payload, "application/json", b"")
+        self._outlet.publish(
+            f"@straitlink/{name}", payload, "application/json", b"", patient_until_s=patient_until_s
+        )
 
     def _publish(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
         assert self._outlet is not None, "nothing comes in before the bus is open"

@@ -10,6 +10,8 @@ from typing import Literal
 from shaper.notices import Notice
 from shaper.operator_lost import OperatorBack, OperatorLost
 
+FOREVER_NS = 1 << 62
+
 
 @dataclass(frozen=True, slots=True)
 class Delivered:
@@ -19,6 +21,7 @@ class Delivered:
     capture_unix_ns: capture time on the peer's wall clock; None until the peer has told its clock.
     one_way_delay_ns: first departure to complete arrival; age_ns: capture to complete arrival. Both
     by the offset between the two clocks as estimated from the exchange; None before the first estimate.
+    left_ns: of its time to live; a very long time where there is no limit.
     on_handed_over: to be called when the local bus has the message, where that is journaled.
     """
 
@@ -29,6 +32,7 @@ class Delivered:
     capture_unix_ns: int | None
     one_way_delay_ns: int | None
     age_ns: int | None
+    left_ns: int = FOREVER_NS
     on_handed_over: Callable[[], None] | None = field(default=None, compare=False, repr=False)
 
 

@@ -11,7 +11,7 @@ from typing import TypeVar
 from messages.payload import PayloadError
 from shaper.compression import unpack
 from shaper.errors import DecodeError
-from shaper.events import Delivered, Event
+from shaper.events import FOREVER_NS, Delivered, Event
 from shaper.fragments import Reassembled, Reassembler
 from shaper.frames import (
     ARRIVED_BITS,
@@ -321,6 +321,7 @@ class Incoming:
             capture_unix_ns=capture_unix_ns,
             one_way_delay_ns=self.clock.delay_ns(message.first_sent_us, now_ns),
             age_ns=age_ns,
+            left_ns=ttl_ns - (age_ns or 0) if ttl_ns else FOREVER_NS,
         )
 
     def _capture_unix_ns(self, message: Arrived) -> int | None:

@@ -76,3 +76,4 @@ def test_commands_are_given_once_or_reported_when_either_shaper_is_killed(tmp_pa
     assert max(arrived.values()) == 1
     open_ended = [n for n in sent if n in told and not arrived[n] and set(told[n]) <= {"queued", "sent"}]
     assert open_ended == []
+    assert [n for n in sent if "delivered" in told.get(n, ()) and not arrived[n]] == []
