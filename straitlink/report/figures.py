@@ -52,6 +52,13 @@ def size(value_bytes: int | None) -> str:
     return f"{value_bytes} B"
 
 
+def rate(value_bps: float) -> str:
+    """999_512 -> "1.00 Mbit/s", 95_000 -> "95.0 kbit/s"."""
+    unit, scale = ("Mbit/s", 1e6) if value_bps >= 999_500 else ("kbit/s", 1e3)
+    scaled = value_bps / scale
+    return f"{scaled:.2f} {unit}" if scaled < 9.995 else f"{scaled:.{1 if scaled < 99.95 else 0}f} {unit}"
+
+
 def percent(ratio: float | None) -> str:
     """0.956 -> "95.6 %"."""
     return MISSING if ratio is None else f"{100 * ratio:.1f} %"

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .age import sawtooth
-from .figures import count, percent, seconds, size
-from .run import DIRECTIONS, Run, Steps, Times
+from .figures import count, percent, rate, seconds, size
+from .run import DIRECTIONS, Estimate, Run, Steps, Times
 from .summary import DirectionSummary, Spread, Summary
 
 MAX_BINS = 1200
@@ -29,7 +30,9 @@ def plots(run: Run, summary: Summary) -> list[Plot]:
     colours = {row.topic: index for index, row in enumerate(summary.topics)}
     made = [_throughput(run, row, edges_ns) for row in summary.directions]
     made += [_queue_delay(run, summary, edges_ns), _age(run, summary, edges_ns, colours)]
-    made += [_estimate(run, edges_ns), _delivered(run, summary, colours)]
+    for side in (side for side in DIRECTIONS if side in run.estimates):
+        made += [_estimated_rate(run, side, edges_ns), _estimated_queue(run, side, edges_ns)]
+    made += [_belief(run, edges_ns), _estimate_ratio(run, edges_ns), _delivered(run, summary, colours)]
     return [plot for plot in made if plot["series"]]
 
 
@@ -41,7 +44,7 @@ def band_spans(run: Run) -> dict[str, list[list[float]]]:
         begins[0] = 0
         ends = np.append(begins[1:], run.duration_ns)
         rows = zip(begins / 1e9, ends / 1e9, band.value, strict=True)
-        spans[side] = [[round(a, 3), round(b, 3), int(rate)] for a, b, rate in rows if b > a]
+        spans[side] = [[round(a, 3), round(b, 3), int(rate_bps)] for a, b, rate_bps in rows if b > a]
     return spans
 
 
@@ -97,7 +100,61 @@ def _age(run: Run, summary: Summary, edges_ns: Times, colours: dict[str, int]) -
     return _plot("Age of information", "s", edges_ns, series, scale="log", note=note)
 
 
-def _estimate(run: Run, edges_ns: Times) -> Plot:
+def _estimated_rate(run: Run, side: str, edges_ns: Times) -> Plot:
+    middles_ns, estimate, series = _middles(edges_ns), run.estimates[side], []
+    if side in run.bands:
+        true = run.bands[side].at(middles_ns)
+        series.append(_series("true rate", np.where(true > 0, true, np.nan), "the link's band", shape="area"))
+    paced_bps = estimate.at(estimate.rate_bps, middles_ns)
+    series.append(_series("estimate", paced_bps, _median(paced_bps, rate), WAY_COLOURS[side]))
+    title = f"Estimated rate, {WAY_NAMES[side]}"
+    return _plot(title, "bit/s", edges_ns, series, scale="log", side=side, note="what the sender paces at")
+
+
+def _estimated_queue(run: Run, side: str, edges_ns: Times) -> Plot:
+    estimate, packets, series = run.estimates[side], run.packets.get(side), []
+    if not np.isfinite(estimate.queue_ns).any():
+        return _plot("", "s", edges_ns, [])
+    if packets is not None and packets.t_ns.size:
+        through = ~packets.dropped
+        worst_ns = _bin_max(packets.t_ns[through], packets.queue_delay_ns[through], edges_ns)
+        met_s = np.maximum(worst_ns / 1e9, LEAST_S)
+        series.append(_series("met by packets", met_s, "worst of each bin", shape="area"))
+    queue_ns = _bin_max(estimate.t_ns, estimate.queue_ns, edges_ns)  # or as told last
+    queue_ns = np.where(np.isnan(queue_ns), estimate.at(estimate.queue_ns, edges_ns[1:] - 1), queue_ns)
+    queue_s = np.maximum(queue_ns / 1e9, LEAST_S)
+    figure = _median(queue_ns, lambda value_ns: seconds(round(value_ns)))
+    series.append(_series("estimate", queue_s, figure, WAY_COLOURS[side]))
+    title, note = (
+        f"Estimated queue, {WAY_NAMES[side]}",
+        "time to drain what the link holds, worst of each bin",
+    )
+    return _plot(title, "s", edges_ns, series, scale="log", side=side, note=note)
+
+
+def _belief(run: Run, edges_ns: Times) -> Plot:
+    series = []
+    for side in (side for side in DIRECTIONS if side in run.estimates):
+        estimate = run.estimates[side]
+        for colour, (name, figures) in enumerate(
+            (("confidence", estimate.confidence), ("loss", estimate.loss_ratio))
+        ):
+            values = estimate.at(figures, _middles(edges_ns))
+            if np.isfinite(values).any():
+                name = f"{name}, {WAY_NAMES[side]}"
+                series.append(
+                    _series(name, values, _median(values, "{:.2f}".format), WAY_COLOURS[side] + 2 * colour)
+                )
+    note = "confidence: 0 blind, 1 measured and steady; loss of the packets reported on lately"
+    return _plot("Confidence and loss", "ratio", edges_ns, series, note=note)
+
+
+def _median(values: NDArray[np.float64], words: Callable[[float], str]) -> str:
+    told = values[np.isfinite(values)]
+    return f"median {words(float(np.median(told)))}" if told.size else "never told"
+
+
+def _estimate_ratio(run: Run, edges_ns: Times) -> Plot:
     series = []
     for side in DIRECTIONS:
         estimate, band = run.estimates.get(side), run.bands.get(side)
@@ -111,10 +168,10 @@ def _estimate(run: Run, edges_ns: Times) -> Plot:
     return _plot("Estimated over true rate", "ratio", edges_ns, series, scale="log", mark=1.0, note=note)
 
 
-def _ratio(estimate: Steps, band: Steps, t_ns: Times) -> NDArray[np.float64]:
-    """NaN before the first estimate and while the link carries nothing."""
-    estimated, true = estimate.at(t_ns).astype(np.float64), band.at(t_ns).astype(np.float64)
-    known = (t_ns >= estimate.t_ns[0]) & (true > 0) & (estimated > 0)
+def _ratio(estimate: Estimate, band: Steps, t_ns: Times) -> NDArray[np.float64]:
+    """NaN where nothing is estimated and while the link carries nothing."""
+    estimated, true = estimate.at(estimate.rate_bps, t_ns), band.at(t_ns).astype(np.float64)
+    known = (true > 0) & (estimated > 0)
     ratio = np.full(t_ns.size, np.nan)
     ratio[known] = estimated[known] / true[known]
     return ratio
@@ -128,9 +185,9 @@ def _delivered(run: Run, summary: Summary, colours: dict[str, int]) -> Plot:
         if row.topic not in run.deliveries:
             continue
         counts, _ = np.histogram(run.deliveries[row.topic].t_ns, edges_ns)
-        rate = np.where(counts > 0, counts / widths_s, np.nan)
+        per_s = np.where(counts > 0, counts / widths_s, np.nan)
         share = f" of {row.offered:,}" if row.offered is not None else ""
-        series.append(_series(row.topic, rate, f"{count(row.delivered)}{share}", colours[row.topic]))
+        series.append(_series(row.topic, per_s, f"{count(row.delivered)}{share}", colours[row.topic]))
     return _plot("Delivered", "/s", edges_ns, series, scale="log", note="messages per second; gaps: none")
 
 
@@ -138,7 +195,7 @@ def _figure(spread: Spread | None) -> str:
     return "" if spread is None else f"p50 {seconds(spread.p50_ns)}, p95 {seconds(spread.p95_ns)}"
 
 
-def _bin_max(t_ns: Times, values: Times, edges_ns: Times) -> NDArray[np.float64]:
+def _bin_max(t_ns: Times, values: Times | NDArray[np.float64], edges_ns: Times) -> NDArray[np.float64]:
     """The greatest value within each bin, NaN where there is none."""
     bins = np.searchsorted(edges_ns, t_ns, side="right") - 1
     inside = (bins >= 0) & (bins < edges_ns.size - 1)

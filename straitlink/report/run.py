@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from straitlink.recording import is_mcap
 
-from .traces import UNKNOWN_NS, Traces, is_trace, read_traces
+from .traces import UNKNOWN, UNKNOWN_NS, Traces, is_trace, read_traces
 
 Times = NDArray[np.int64]
 DIRECTIONS = ("down", "up")  # down: robot to operator
@@ -87,11 +87,28 @@ class Departures:
 
 
 @dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a sender took its direction for from t_ns[i] until t_ns[i + 1], (N,) each; NaN where not told."""
+
+    t_ns: Times
+    rate_bps: NDArray[np.float64]
+    queue_ns: NDArray[np.float64]
+    loss_ratio: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+
+    def at(self, values: NDArray[np.float64], t_ns: Times) -> NDArray[np.float64]:
+        """One of the figures at each time; NaN before the first estimate."""
+        rows = np.searchsorted(self.t_ns, t_ns, side="right") - 1
+        return np.where(rows >= 0, values[np.maximum(rows, 0)], np.nan)
+
+
+@dataclass(frozen=True, slots=True)
 class Run:
     """All that is known of a run. Times are nanoseconds from its start; maps miss what no trace told.
 
     topics: direction by topic. ledgers: final counters by topic, of both ends. sides: whose own traces
-    there are. reliable: topics whose sender counts as expired what came too late, for it was told.
+    there are. estimates: by the sender's own trace, or else as its peer was told. reliable: topics whose
+    sender counts as expired what came too late, for it was told.
     """
 
     facts: Mapping[str, Any]
@@ -100,7 +117,7 @@ class Run:
     deliveries: Mapping[str, Deliveries]
     ledgers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     departures: Mapping[str, Departures] = field(default_factory=dict)
-    estimates: Mapping[str, Steps] = field(default_factory=dict)
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
     packets: Mapping[str, Packets] = field(default_factory=dict)
     bands: Mapping[str, Steps] = field(default_factory=dict)
     malformed_lines: int = 0
@@ -135,7 +152,7 @@ def _from_traces(traces: Traces) -> Run:
         deliveries={topic: _deliveries(rows) for topic, rows in traces.delivered.items()},
         ledgers=traces.ledgers,
         departures={side: Departures(*_columns(rows, 2)) for side, rows in traces.departures.items()},
-        estimates={side: Steps(*_columns(rows, 2)) for side, rows in traces.estimates.items()},
+        estimates={side: _estimate(rows) for side, rows in {**traces.told, **traces.estimates}.items()},
         packets={side: _packets(rows) for side, rows in traces.packets.items()},
         bands={side: Steps(*_columns(rows, 2)) for side, rows in traces.bands.items()},
         malformed_lines=traces.malformed_lines,
@@ -172,6 +189,12 @@ def _from_recording(path: Path) -> Run:
 def _deliveries(rows: list[tuple[int, ...]]) -> Deliveries:
     t_ns, age_ns, one_way_delay_ns, payload_bytes = _columns(rows, 4)
     return Deliveries(t_ns, age_ns, one_way_delay_ns, payload_bytes)
+
+
+def _estimate(rows: list[tuple[int, ...]]) -> Estimate:
+    t_ns, *figures = _columns(rows, 5)
+    rate_bps, queue_ns, loss, confidence = (np.where(f == UNKNOWN, np.nan, f) for f in figures)
+    return Estimate(t_ns, rate_bps, queue_ns, loss / 1e6, confidence / 1e6)
 
 
 def _packets(rows: list[tuple[int, ...]]) -> Packets:

@@ -13,6 +13,7 @@ Rows = dict[str, list[tuple[int, ...]]]
 Event = dict[str, Any]
 
 UNKNOWN_NS = -(2**63)  # a delay that the receiver could not tell yet (null in the trace)
+UNKNOWN = -1  # a figure of an estimate that was not told
 _SENDS = {"robot": "down", "operator": "up"}  # the direction that a side sends into
 _RECEIVES = {"robot": "up", "operator": "down"}
 # What a side counts of a topic, and the name that a row of both sides' counters has for it.
@@ -33,8 +34,10 @@ class Traces:
 
     sides: whose own traces there are, of robot, operator and link. reliable: topics whose sender waits
     for receipts. ledgers: counters of both sides by topic; expired_there is the receiver's "expired".
-    delivered: (t, age, one-way delay, payload bytes). departures: (t, wire bytes). estimates and
-    bands: (t, rate in bit/s). packets: (t, wire bytes, queue delay, dropped 0 | 1).
+    delivered: (t, age, one-way delay, payload bytes). departures: (t, wire bytes). bands: (t, rate in
+    bit/s). packets: (t, wire bytes, queue delay, dropped 0 | 1). estimates: (t, rate in bit/s, queue in ns,
+    loss and confidence in ppm), each UNKNOWN where not told; told: the same of the direction that a side
+    receives by, as its peer told it.
     """
 
     facts: Event = field(default_factory=dict)
@@ -46,20 +49,25 @@ class Traces:
     delivered: Rows = field(default_factory=lambda: defaultdict(list))
     departures: Rows = field(default_factory=lambda: defaultdict(list))
     estimates: Rows = field(default_factory=lambda: defaultdict(list))
+    told: Rows = field(default_factory=lambda: defaultdict(list))
     packets: Rows = field(default_factory=lambda: defaultdict(list))
     bands: Rows = field(default_factory=lambda: defaultdict(list))
     malformed_lines: int = 0
 
     def shift(self, origin_ns: int) -> None:
         """Count time from origin_ns."""
-        for rows in (self.delivered, self.departures, self.estimates, self.packets, self.bands):
+        for rows in self._all():
             for key, events in rows.items():
                 rows[key] = [(event[0] - origin_ns, *event[1:]) for event in events]
 
     def last_ns(self) -> int:
         """Time of the last event."""
-        all_rows = (self.delivered, self.departures, self.estimates, self.packets, self.bands)
-        return max((event[0] for rows in all_rows for events in rows.values() for event in events), default=0)
+        return max(
+            (event[0] for rows in self._all() for events in rows.values() for event in events), default=0
+        )
+
+    def _all(self) -> tuple[Rows, ...]:
+        return self.delivered, self.departures, self.estimates, self.told, self.packets, self.bands
 
 
 def is_trace(path: Path) -> bool:
@@ -171,7 +179,11 @@ class _TraceFile:
         self.traces.departures[_SENDS[self.side]].append((t_ns, int(event["wire_bytes"])))
 
     def _link_state(self, event: Event, t_ns: int) -> None:
-        self.traces.estimates[_SENDS[self.side]].append((t_ns, int(event["rate_bps"])))
+        self.traces.estimates[_SENDS[self.side]].append(_estimate_row(event, t_ns))
+        if "receiving" in event:
+            told = event["receiving"]
+            row = (t_ns, *(UNKNOWN,) * 4) if told is None else _estimate_row(told, t_ns)
+            self.traces.told[_RECEIVES[self.side]].append(row)
 
     def _ledger(self, event: Event, t_ns: int) -> None:
         self.ledger = event["topics"]
@@ -198,3 +210,9 @@ class _TraceFile:
                 if counters.get(counted) is not None:
                     row[name] = row.get(name, 0) + int(counters[counted])
         self.ledger = {}
+
+
+def _estimate_row(event: Event, t_ns: int) -> tuple[int, ...]:
+    ratios = (event.get(name) for name in ("loss_ratio", "confidence"))
+    in_ppm = (UNKNOWN if ratio is None else round(ratio * 1e6) for ratio in ratios)
+    return (t_ns, int(event["rate_bps"]), int(event.get("queue_ns", UNKNOWN)), *in_ppm)

@@ -19,7 +19,7 @@ from straitlink.mission import MissionSettings, load_named_or_file
 from straitlink.mission.output import run_and_save
 from straitlink.report import ReportError, print_table, read_run, summarise
 from straitlink.report.age import sawtooth
-from straitlink.report.figures import seconds, size
+from straitlink.report.figures import rate, seconds, size
 from straitlink.report.run import Deliveries, Steps
 from straitlink.report.summary import Spread, Summary, TopicSummary, spread
 
@@ -162,6 +162,29 @@ def test_three_clocks_are_put_on_one_time_line(tmp_path: Path) -> None:
     assert run.deliveries["plan"].t_ns[0] == 2 * S
     assert list(run.bands["down"].t_ns) == [0, 4 * S]
     assert list(run.estimates["down"].t_ns) == [0, 5 * S]
+
+
+def test_the_other_directions_estimate_is_what_the_peer_told_where_only_one_side_was_traced(
+    tmp_path: Path,
+) -> None:
+    told = {"rate_bps": 95_000, "queue_ns": 40 * MS, "loss_ratio": 0.1, "confidence": 1.0}
+    operator = Trace(tmp_path, "operator", OPERATOR_NS)
+    operator.event("link_state", 1, rate_bps=50_000, receiving=None)
+    operator.event("link_state", 2, rate_bps=50_000, queue_ns=7 * MS, receiving=told)
+    operator.event("link_state", 9, rate_bps=50_000, receiving=None)
+    down = read_run(tmp_path).estimates["down"]
+    t_ns = np.array([0, S, 2 * S, 8 * S, 9 * S])
+    at = [down.at(figures, t_ns) for figures in (down.rate_bps, down.queue_ns, down.loss_ratio)]
+    np.testing.assert_array_equal(at[0], [np.nan, np.nan, 95_000, 95_000, np.nan])
+    np.testing.assert_array_equal(at[1], [np.nan, np.nan, 40 * MS, 40 * MS, np.nan])
+    np.testing.assert_array_equal(at[2], [np.nan, np.nan, 0.1, 0.1, np.nan])
+
+
+def test_a_senders_own_word_counts_more_than_what_its_peer_was_told(tmp_path: Path) -> None:
+    robot, operator = Trace(tmp_path, "robot", ROBOT_NS), Trace(tmp_path, "operator", OPERATOR_NS)
+    robot.event("link_state", 1, rate_bps=900_000, queue_ns=0, loss_ratio=0, confidence=1)
+    operator.event("link_state", 1, rate_bps=50_000, receiving={"rate_bps": 1000, "queue_ns": 0})
+    assert list(read_run(tmp_path).estimates["down"].rate_bps) == [900_000]
 
 
 def test_a_run_that_starts_after_its_traces_counts_from_its_start(tmp_path: Path) -> None:
@@ -413,3 +436,18 @@ def test_durations_carry_three_digits_and_a_unit(value_ns: int | None, words: st
 )
 def test_sizes_are_decimal(value: int, words: str) -> None:
     assert size(value) == words
+
+
+@pytest.mark.parametrize(
+    ("value_bps", "words"),
+    [
+        (999_512, "1.00 Mbit/s"),
+        (95_000, "95.0 kbit/s"),
+        (9600, "9.60 kbit/s"),
+        (285e6, "285 Mbit/s"),
+        (9_999_000, "10.0 Mbit/s"),
+        (999_400, "999 kbit/s"),
+    ],
+)
+def test_rates_have_three_digits(value_bps: float, words: str) -> None:
+    assert rate(value_bps) == words

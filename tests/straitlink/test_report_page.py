@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from straitlink.report import Run, summarise, write_page
-from straitlink.report.run import Deliveries, Packets, Steps
+from straitlink.report.run import Deliveries, Estimate, Packets, Steps, Times
 
 S = 1_000_000_000
 
@@ -35,8 +35,14 @@ def run_of(
             "down": Packets(t_ns, np.full(t_ns.size, 1000), age_ns // 10, np.zeros(t_ns.size, np.bool_))
         },
         bands={"down": band},
-        estimates={"down": Steps(minutes * 60 * S + S, band.value)},
+        estimates={"down": estimate_of(minutes * 60 * S + S, band.value)},
     )
+
+
+def estimate_of(t_ns: Times, rate_bps: Times) -> Estimate:
+    """A second late, with a queue of 20 ms."""
+    flat = np.ones(t_ns.size)
+    return Estimate(t_ns, rate_bps.astype(np.float64), 2e7 * flat, 0.1 * flat, flat)
 
 
 def page_of(run: Run, tmp_path: Path) -> str:
@@ -81,6 +87,9 @@ def test_every_plot_is_there_with_its_unit_and_a_figure_for_those_without_a_mous
         ("Bytes on the wire, robot → operator", "kB/s"),
         ("Queueing delay", "s"),
         ("Age of information", "s"),
+        ("Estimated rate, robot → operator", "bit/s"),
+        ("Estimated queue, robot → operator", "s"),
+        ("Confidence and loss", "ratio"),
         ("Estimated over true rate", "ratio"),
         ("Delivered", "/s"),
     ]
@@ -88,6 +97,18 @@ def test_every_plot_is_there_with_its_unit_and_a_figure_for_those_without_a_mous
         assert all(series["figure"] for series in plot["series"])
         assert all(len(series["values"]) == len(plot["t"]) for series in plot["series"])
     assert data["bands"]["down"] == [[0.0, 60.0, 1_000_000], [60.0, 120.0, 100_000]]
+
+
+def test_the_estimate_stands_over_the_true_rate_and_is_late_where_it_was_late(tmp_path: Path) -> None:
+    plots = {plot["title"]: plot for plot in data_of(page_of(run_of(120), tmp_path))["plots"]}
+    true, estimate = plots["Estimated rate, robot → operator"]["series"]
+    t_s = plots["Estimated rate, robot → operator"]["t"]
+    assert (true["shape"], estimate["shape"]) == ("area", "line")
+    differ_s = [t for t, a, b in zip(t_s, true["values"], estimate["values"], strict=True) if a != b]
+    assert all(t < 1 or 60 <= t < 61 for t in differ_s) and len(differ_s) == 8
+    met, queue = plots["Estimated queue, robot → operator"]["series"]
+    assert set(queue["values"][4:]) == {0.02} and max(met["values"]) > 0.08
+    assert queue["figure"] == "median 20 ms"
 
 
 def test_the_plotted_bytes_are_the_bytes_of_the_summary(tmp_path: Path) -> None:
