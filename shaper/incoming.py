@@ -326,7 +326,10 @@ class Incoming:
 
     def _capture_unix_ns(self, message: Arrived) -> int | None:
         unix = self._unix_minus_stamp_ns
-        return None if unix is None else message.capture_us * 1000 + unix
+        if unix is None:
+            return None
+        # A host that has just booted without a clock tells of 1970, and of samples from before it.
+        return min(max(0, message.capture_us * 1000 + unix), _LATEST_UNIX_NS)
 
     def _read_in_stream(self, topic: InTopic, message: Arrived, number: int) -> Arrived:
         max_bytes, capture_unix_ns = self._limits.max_message_bytes, self._capture_unix_ns(message)

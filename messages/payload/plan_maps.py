@@ -170,7 +170,7 @@ def footsteps_of(plan: footstep_plan_pb2.FootstepPlan) -> FootstepPlan:
 def footstep_plan_of(message: Any, capture_unix_ns: int | None) -> footstep_plan_pb2.FootstepPlan:
     """What a bounded message says."""
     plan = footstep_plan_pb2.FootstepPlan(
-        capture_ns=capture_unix_ns or 0,
+        capture_ns=max(0, capture_unix_ns or 0),
         plan_id=message.plan_id,
         frame_id=FootstepPlan.Frame.Name(message.frame).lower(),
     )

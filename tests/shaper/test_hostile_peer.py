@@ -1,6 +1,5 @@
 """A peer that is broken, old, forged or hostile: nothing escapes, nothing grows, nothing stays broken."""
 
-import struct
 from dataclasses import replace
 
 import pytest
@@ -160,7 +159,7 @@ def test_a_hostile_zstd_payload_is_malformed_and_the_topic_goes_on(bomb: bytes) 
     assert victim.payloads == [b"good"]
 
 
-@pytest.mark.parametrize("unix_ns", [-(1 << 63), (1 << 63) - 1])
+@pytest.mark.parametrize("unix_ns", [-(1 << 63), 0, (1 << 62), (1 << 63) - 1])
 def test_an_absurd_wall_clock_gives_no_capture_time_that_cannot_be_written(unix_ns: int) -> None:
     victim = Victim()
     victim.receive(HelloFrame(unix_ns))
@@ -169,7 +168,7 @@ def test_an_absurd_wall_clock_gives_no_capture_time_that_cannot_be_written(unix_
     victim.receive(MessageFrame(0, 2, 0, b"new", name=NAME))
     for event in victim.events:
         if isinstance(event, Delivered):
-            struct.pack("<q", event.capture_unix_ns or 0)
+            assert event.capture_unix_ns is None or 0 <= event.capture_unix_ns <= 1 << 62
     assert victim.payloads == [b"late", b"new"]
 
 
