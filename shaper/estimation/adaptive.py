@@ -8,6 +8,7 @@ hold     the peer is silent, or what was sent is not reported in time: a trickle
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 
 from shaper.estimation.bands import Bands
 from shaper.estimation.baseline import Baseline
@@ -90,6 +91,7 @@ class AdaptiveEstimator:
     ) -> None:
         self.pacer = VirtualQueue(START_BPS, ALLOWANCE_NS, now_ns)
         self.state = State.PROBE
+        self.in_flight_limit_bytes = _NO_LIMIT_BYTES
         self.rate_bps = START_BPS
         self.loss_ratio = 0.0
         self._max_wire_bytes = max_wire_bytes
@@ -124,10 +126,6 @@ class AdaptiveEstimator:
         full_bytes = datagram_wire_bytes(self.rate_bps, self._max_wire_bytes)
         longest_bytes = self.rate_bps * MOST_AIRTIME_NS // (8 * NS_PER_S)
         return max(min(full_bytes, longest_bytes), min(full_bytes, LEAST_DATAGRAM_BYTES))
-
-    @property
-    def in_flight_limit_bytes(self) -> int:
-        return 0 if self.state is State.HOLD else _NO_LIMIT_BYTES
 
     @property
     def band(self) -> str:
@@ -375,7 +373,7 @@ class AdaptiveEstimator:
         if base_ns is None or rate_bps is None or not self._ideas.anchor:
             return
         looked_at = min(8, 1 + int(self._noise_ns / ANCHOR_NOISE_NS), len(self._flights.acked))
-        newest = list(self._flights.acked)[-looked_at:]
+        newest = islice(reversed(self._flights.acked), looked_at)
         best = min(newest, key=lambda f: f.delay_ns(rate_bps) - f.wait_ns)
         wait_ns = max(0, best.delay_ns(rate_bps) - base_ns)
         self._set_queue(self._flights.simulate(rate_bps, best, wait_ns, now_ns), now_ns)
@@ -450,13 +448,14 @@ class AdaptiveEstimator:
     def _apparent_delay_ns(self) -> int:
         """The empty link's delay by the newest arrivals, should the virtual queue be right."""
         rate_bps = self._known_bps
-        newest = list(self._flights.acked)[-10:]
-        if rate_bps is None or not newest:
+        if rate_bps is None:
             return -_NEVER_NS
-        return min(f.delay_ns(rate_bps) - f.wait_ns for f in newest)
+        newest = islice(reversed(self._flights.acked), 10)
+        return min((f.delay_ns(rate_bps) - f.wait_ns for f in newest), default=-_NEVER_NS)
 
     def _enter(self, happened: Input, now_ns: int) -> None:
         self.state = follow(self.state, happened)
+        self.in_flight_limit_bytes = 0 if self.state is State.HOLD else _NO_LIMIT_BYTES
         self._probes_left = self.pacer.free = 0
         self.pacer.urgent_from_ns = now_ns
         self.pacer.allowance_ns = ALLOWANCE_NS + int(ALLOWANCE_NOISE * self._noise_ns)

@@ -39,7 +39,7 @@ class Pair:
     bits: of the second. queued: the second is taken to have met a queue.
     """
 
-    __slots__ = ("bits", "gap_ns", "number", "queued", "sent_ns", "spread_ns")
+    __slots__ = ("bits", "gap_ns", "measurable", "number", "queued", "sent_ns", "spread_ns")
 
     def __init__(self, first: Flight, second: Flight) -> None:
         assert first.arrived_ns is not None and second.arrived_ns is not None, "pairs have arrived"
@@ -49,20 +49,21 @@ class Pair:
         self.spread_ns = second.arrived_ns - first.arrived_ns
         self.bits = second.bits
         self.queued = second.wait_ns > 0
-
-    @property
-    def measurable(self) -> bool:
-        return self.spread_ns * _FASTEST_BPS > self.bits * 1e9
+        self.measurable = self.spread_ns * _FASTEST_BPS > self.bits * 1e9
 
 
 class Dispersion:
-    """The pairs of late, and how noisy their spreads are."""
+    """The pairs of late, and how noisy their spreads are.
+
+    What they tell is looked for when a pair has come that could change it, not at each report.
+    """
 
     def __init__(self) -> None:
         self._pairs: deque[Pair] = deque(maxlen=_PAIRS)
         self._deviation_ns = 0.0
         self._former_ns = (0.0, 0.0)  # deviations before; a change of rate is no noise
         self._counted = 0
+        self._follows = self._widens = self._closes = False  # whether a new pair has met a queue, and ...
 
     @property
     def noise_ns(self) -> float:
@@ -73,8 +74,16 @@ class Dispersion:
         """Two neighbours have arrived. rate_bps: what the noise is judged by; None: it is not."""
         pair = Pair(first, second)
         self._pairs.append(pair)
-        if rate_bps is not None and pair.queued:
-            off_ns = abs(pair.spread_ns - pair.bits * 1e9 / rate_bps)
+        if rate_bps is None:
+            return
+        explained_ns = pair.bits * 1e9 / rate_bps
+        if pair.gap_ns <= _TRAIN_GAP * explained_ns:  # ... could show a faster link
+            self._closes = True
+        if pair.queued:
+            self._follows = True
+            if pair.spread_ns > _FALL_RATIO * explained_ns:  # ... could show a slower one
+                self._widens = True
+            off_ns = abs(pair.spread_ns - explained_ns)
             off_ns = min(off_ns, abs(pair.spread_ns - pair.gap_ns))  # the link may be faster than known
             off_ns = min(off_ns, 3 * self._deviation_ns + 2_000_000)
             self._deviation_ns += (off_ns - self._deviation_ns) / 16
@@ -96,10 +105,17 @@ class Dispersion:
 
         The slowest pair does not count: one late arrival is no fall.
         """
-        bits = spread_ns = gap_ns = 0
+        if not self._widens:
+            return None
+        self._widens = False
+        floor_ns = _NOISE_FACTOR * self.noise_ns + _FALL_FLOOR_NS
+        bits = spread_ns = gap_ns = count = 0
         slowest: Pair | None = None
-        for count, pair in enumerate((p for p in self._newest() if p.queued), 1):
+        for pair in self._newest():
+            if not pair.queued:
+                continue
             bits, spread_ns, gap_ns = bits + pair.bits, spread_ns + pair.spread_ns, gap_ns + pair.gap_ns
+            count += 1
             if slowest is None or pair.spread_ns > slowest.spread_ns:
                 slowest = pair
             if count < 3:
@@ -108,7 +124,7 @@ class Dispersion:
             explained_ns = (bits - slowest.bits) * 1e9 / rate_bps
             if (
                 rest_ns > _FALL_RATIO * explained_ns
-                and rest_ns - explained_ns > _NOISE_FACTOR * self.noise_ns + _FALL_FLOOR_NS
+                and rest_ns - explained_ns > floor_ns
                 and gap_ns - slowest.gap_ns < _EXPANDED * rest_ns
             ):
                 return (bits - slowest.bits) * 1e9 / rest_ns
@@ -119,6 +135,10 @@ class Dispersion:
 
         Only pairs that left closer than that can tell. Noise counts once per train.
         """
+        if not self._closes:
+            return None
+        self._closes = False
+        noise_ns = self.noise_ns
         bits = spread_ns = trains = pairs = 0
         best_bps, number = 0.0, -1
         for pair in self._newest():
@@ -129,12 +149,15 @@ class Dispersion:
             number = pair.number
             bits, spread_ns, pairs = bits + pair.bits, spread_ns + pair.spread_ns, pairs + 1
             if pairs >= 2:
-                doubt_ns = _RISE_DOUBT * self.noise_ns * trains**0.5 + _RISE_FLOOR_NS
+                doubt_ns = _RISE_DOUBT * noise_ns * trains**0.5 + _RISE_FLOOR_NS
                 best_bps = max(best_bps, bits * 1e9 / (spread_ns + doubt_ns))
         return best_bps if best_bps > _RISE_RATIO * rate_bps else None
 
     def average(self, rate_bps: float) -> float | None:
-        """The rate over the last pairs that met a queue; None while there are too few."""
+        """The rate over the last pairs that met a queue; None while there are too few, or none is new."""
+        if not self._follows:
+            return None
+        self._follows = False
         noise_ns = self.noise_ns
         window_ns = min(_WINDOW_NS[1], max(_WINDOW_NS[0], _WINDOW_NOISES * noise_ns))
         bits = spread_ns = 0

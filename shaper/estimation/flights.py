@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from itertools import takewhile
 
 from shaper.frames import STAMP_BITS
 from shaper.path import ReportedPacket
@@ -74,10 +75,11 @@ class Flights:
         per_bit_ns = 1e9 / rate_bps
         begin.wait_ns = wait_ns
         empty_ns = begin.sent_ns + wait_ns + int(begin.bits * per_bit_ns)
-        later = [f for f in self.acked if f.number > begin.number]
-        for flights in (later, self.unreported):
+        number = begin.number
+        later = list(takewhile(lambda flight: flight.number > number, reversed(self.acked)))
+        for flights in (reversed(later), self.unreported):
             for flight in flights:
-                if flight.number <= begin.number:
+                if flight.number <= number:
                     continue
                 sent_ns = flight.sent_ns
                 start_ns = empty_ns if empty_ns > sent_ns else sent_ns

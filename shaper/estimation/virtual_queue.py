@@ -45,7 +45,7 @@ class VirtualQueue:
 
     def may_send(self, now_ns: int) -> bool:
         """Whether a datagram may leave now."""
-        return self.next_send_at_ns(now_ns) <= now_ns
+        return self.opens_ns() <= now_ns
 
     def next_send_at_ns(self, now_ns: int) -> int:
         """The earliest time at which `may_send` holds, if nothing is sent before."""
@@ -53,9 +53,12 @@ class VirtualQueue:
 
     def urgent_at_ns(self, now_ns: int) -> int:
         """The earliest time for what always passes: it does not wait for the queue to drain."""
+        opens_ns = self.opens_ns()
+        if opens_ns <= now_ns:
+            return max(self.urgent_from_ns, now_ns)
         share_ns = int(URGENT_BYTES * 8 * NS_PER_S / (URGENT_SHARE * self.rate_bps))
         urgent_ns = self.sent_ns + max(URGENT_INTERVAL_NS, share_ns)
-        return max(self.urgent_from_ns, min(max(now_ns, urgent_ns), self.next_send_at_ns(now_ns)))
+        return max(self.urgent_from_ns, min(max(now_ns, urgent_ns), opens_ns))
 
     def pause(self, until_ns: int) -> None:
         """Let nothing leave, to measure; what must always pass waits too unless that is for long."""
