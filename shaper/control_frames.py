@@ -5,7 +5,7 @@ from __future__ import annotations
 from shaper.datagram import append_estimate, append_known, append_ledger, append_receipt, append_report
 from shaper.estimate_exchange import EstimateExchange
 from shaper.events import LinkState
-from shaper.frames import EstimateFrame, KnownFrame, LedgerFrame, ReceiptFrame
+from shaper.frames import EstimateFrame, KnownFrame, LedgerFrame, PaddingFrame, ReceiptFrame
 from shaper.incoming import Incoming
 from shaper.ledger_exchange import LedgerExchange
 from shaper.outgoing import Outgoing
@@ -53,11 +53,13 @@ class ControlFrames:
 
     def on_frame(
         self,
-        frame: EstimateFrame | KnownFrame | ReceiptFrame | LedgerFrame,
+        frame: PaddingFrame | EstimateFrame | KnownFrame | ReceiptFrame | LedgerFrame,
         incoming: Incoming,
         now_ns: int,
     ) -> None:
         """Take what the peer tells, unless it speaks to our former self."""
+        if isinstance(frame, PaddingFrame):  # it only makes a datagram larger
+            return
         if isinstance(frame, EstimateFrame):
             self.estimates.on_frame(frame, now_ns)
         elif isinstance(frame, LedgerFrame) and frame.sent_half:

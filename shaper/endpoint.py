@@ -18,14 +18,10 @@ from shaper.events import Event, LinkState, PeerStarted, Wanted
 from shaper.frames import (
     HEADER_BYTES,
     IP_UDP_BYTES,
-    EstimateFrame,
     Header,
     HelloFrame,
-    KnownFrame,
-    LedgerFrame,
     MessageFrame,
     PaddingFrame,
-    ReceiptFrame,
     ReportFrame,
     SkipFrame,
 )
@@ -36,7 +32,7 @@ from shaper.ledger_exchange import LedgerExchange
 from shaper.link_estimator import LinkEstimator
 from shaper.outgoing import Opportunity, Outgoing
 from shaper.pacer import NS_PER_S
-from shaper.path import Content, Path
+from shaper.path import Content, Path, PeerClock
 from shaper.path_mtu import PathMtu
 from shaper.peer_lives import PeerLives
 from shaper.promise import PROMISES_NS
@@ -253,6 +249,11 @@ class Endpoint:
         """What the peer says of its own counters."""
         return self._control.ledgers
 
+    @property
+    def peer_clock(self) -> PeerClock | None:
+        """The clock of the peer that is heard at present."""
+        return self._incoming.clock if self._incoming is not None else None
+
     def silence_ns(self, now_ns: int) -> int:
         """For how long nothing has come from the peer; since the start if nothing ever has."""
         return now_ns - self._timers.last_heard_ns
@@ -414,7 +415,7 @@ class Endpoint:
                     self._on_report(frame, sent_us, incoming, now_ns)
                 case HelloFrame():
                     incoming.on_hello(frame, sent_us)
-                case EstimateFrame() | KnownFrame() | ReceiptFrame() | LedgerFrame():
+                case _:
                     self._control.on_frame(frame, incoming, now_ns)
         self._estimator.on_heard(header.number, sent_us, PROMISES_NS[header.promise], now_ns)
 

@@ -27,11 +27,16 @@ OVERHEAD_BYTES = KEY_BYTES + TAG_BYTES  # of either message, beside its payload
 
 @dataclass(frozen=True, slots=True)
 class TransportKeys:
-    """What the handshake leaves: a key for each direction, and a hash of all that was said."""
+    """What the handshake leaves: a key for each direction, and a hash of all that was said.
+
+    exporter: a secret from which keys for other uses of the session are drawn; the output that HKDF would
+    give after those two, so neither says anything of the others.
+    """
 
     send: bytes
     receive: bytes
     handshake_hash: bytes
+    exporter: bytes
 
 
 class Initiator:
@@ -54,8 +59,8 @@ class Initiator:
         remote = _read_ephemeral(state, message)
         state.mix_key(_agree(self._ephemeral, remote))
         payload = state.decrypt_and_hash(message[KEY_BYTES:])
-        ours, theirs = state.split()
-        return payload, TransportKeys(ours, theirs, state.hash)
+        ours, theirs, exporter = state.split()
+        return payload, TransportKeys(ours, theirs, state.hash, exporter)
 
 
 class Responder:
@@ -81,8 +86,8 @@ class Responder:
         self._state.mix_ephemeral(public)
         self._state.mix_key(_agree(private, self._remote))
         message = public + self._state.encrypt_and_hash(payload)
-        theirs, ours = self._state.split()
-        return message, TransportKeys(ours, theirs, self._state.hash)
+        theirs, ours, exporter = self._state.split()
+        return message, TransportKeys(ours, theirs, self._state.hash, exporter)
 
 
 class _SymmetricState:
@@ -124,9 +129,9 @@ class _SymmetricState:
         self._mix_hash(sealed)
         return plaintext
 
-    def split(self) -> tuple[bytes, bytes]:
-        first, second = _hkdf(self._chaining_key, b"", 2)
-        return first, second
+    def split(self) -> tuple[bytes, bytes, bytes]:
+        first, second, third = _hkdf(self._chaining_key, b"", 3)
+        return first, second, third
 
     def _mix_hash(self, data: bytes) -> None:
         self.hash = hashlib.sha256(self.hash + data).digest()

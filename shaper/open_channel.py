@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
+from shaper.carousel_wire import CLEAR, NUMBER_BITS, decode_clear, encode_clear
+from shaper.errors import DecodeError
 from shaper.handshake import Identity
 from shaper.notices import Notice
 from shaper.secure_channel import Address, Control
@@ -23,6 +25,7 @@ class OpenChannel:
         self.last_heard_ns: int | None = None
         self.notices: deque[Notice] = deque()
         self.strangers = 0
+        self._carousel_number = 0
 
     def counters_dict(self) -> dict[str, int]:
         """Counters by name."""
@@ -42,6 +45,20 @@ class OpenChannel:
     def seal_control(self, payload: bytes) -> bytes:
         """An open channel has nothing to say of its own."""
         raise AssertionError("an open channel carries no control datagrams")
+
+    def seal_carousel(self, body: bytes) -> bytes | None:
+        """The body as it is, under a head that says so."""
+        number, self._carousel_number = self._carousel_number, self._carousel_number + 1
+        return encode_clear(0, number & (1 << NUMBER_BITS) - 1) + body
+
+    def open_carousel(self, data: bytes) -> bytes | None:
+        """The body, whoever has sent it: on loopback only."""
+        try:
+            decode_clear(data)
+        except DecodeError:
+            self.strangers += 1
+            return None
+        return data[CLEAR.size :]
 
     def copy_to(self, datagram_bytes: int) -> Address | None:
         """None: the peer never moves."""

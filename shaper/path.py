@@ -95,6 +95,13 @@ class PeerClock:
             self._bound_ns, self._sampled_ns = bound_ns, received_ns
         return rtt_ns
 
+    def age_ns(self, stamp_us: int, now_ns: int) -> int | None:
+        """Age of what the peer stamped of late with the low bits of its clock (us); None if unknown."""
+        if self.offset_ns is None:
+            return None
+        now_there_us = (now_ns + self.offset_ns) // 1000
+        return (now_there_us - expand(stamp_us, STAMP_BITS, now_there_us)) * 1000
+
     def delay_ns(self, peer_sent_us: int, received_ns: int) -> int | None:
         """One-way delay of something the peer stamped (expanded) and we received; None if unknown."""
         if self.offset_ns is None:

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from shaper.carousel_wire import decode_clear
 from shaper.channel_control import ANSWERED, CHALLENGE, CHALLENGE_BYTES
 from shaper.channel_notices import ChannelNotices
 from shaper.errors import DecodeError
@@ -183,6 +184,27 @@ class SecureChannel:
         """Protect something for the peer's channel."""
         assert self._current is not None, "a channel that is not ready seals nothing"
         return self._current.seal_control(payload)
+
+    def seal_carousel(self, body: bytes) -> bytes | None:
+        """Protect what our carousel sends, under the session in use; None if there is none yet."""
+        return None if self._current is None else self._current.seal_carousel(body, self._side)
+
+    def open_carousel(self, data: bytes) -> bytes | None:
+        """What the peer's carousel has sent; None for all else, which changes nothing but a counter.
+
+        It tells nothing of where the peer is, nor that it hears us: that is for the two-way link.
+        """
+        try:
+            session = self._by_id.get(decode_clear(data)[0])
+            if session is None:
+                self.counters.strangers += 1
+                return None
+            body = session.carousel.open(data, other_side(self._side))
+        except DecodeError:
+            self.counters.forged += 1
+            return None
+        self.counters.replayed += body is None
+        return body
 
     def copy_to(self, datagram_bytes: int) -> Address | None:
         """Where the peer seems to have moved, if a copy of what leaves now may go there too."""

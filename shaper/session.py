@@ -12,9 +12,10 @@ from __future__ import annotations
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESCCM
 
+from shaper.carousel_seal import CarouselSeal
 from shaper.errors import DecodeError
 from shaper.frames import NUMBER_BITS, VERSION
-from shaper.handshake import Hello
+from shaper.handshake import Hello, Side
 from shaper.noise import TransportKeys
 from shaper.serial_number import ReceivedWindow, expand
 
@@ -45,6 +46,7 @@ class Session:
         "_seal",
         "_windows",
         "answered_to",
+        "carousel",
         "forged",
         "hello",
         "key_name",
@@ -72,6 +74,7 @@ class Session:
         self.used_ns = now_ns  # something was opened
         self.proven = False  # the peer has sealed something
         self.forged = 0
+        self.carousel = CarouselSeal(keys.exporter)
         self._peer_epoch = hello.identity.epoch.to_bytes(2, "little")
         self._peer_id = hello.session_id.to_bytes(2, "little")
         self._seal = AESCCM(keys.send, tag_length=TAG_BYTES)
@@ -103,6 +106,10 @@ class Session:
         self._control_number += 1
         clear = bytes([CONTROL]) + self._peer_id + number
         return clear + self._seal.encrypt(_NONCE_HEADS[CONTROL] + clear[3:6], payload, clear)
+
+    def seal_carousel(self, body: bytes, side: Side) -> bytes:
+        """Protect what this side's carousel sends on the link without a way back."""
+        return self.carousel.seal(body, self.hello.session_id, side)
 
     def open(self, data: bytes, now_ns: int) -> tuple[bytes, bool] | None:
         """The plain datagram or control payload, and whether it is the newest; None if it came before.
