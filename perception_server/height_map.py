@@ -12,6 +12,7 @@ the returns agree, else the upper end), see docs/perception.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +29,12 @@ COARSE_M = 0.1  # larger cells than this hold more than noise moves: the upper l
 FACE_MARGIN_M = 0.008  # a face must stand this far inside a cell to be its own: most of the noise
 FACE_SHARE = 0.6  # of the most returns between levels that a cell nearby has
 BEHIND_SHARE = 0.5  # of a cell's own, in the cell behind it: the face stands on their border
+SPILL_RATIO = 0.25  # of a cell's width, from its centre towards the cell behind
 STRAY_SHARE = 0.25  # of a neighbour's returns above its low level
 LONE = 1.0  # votes: of a single return
 FEW = 3  # returns that may all be noise
 
+IntPair: TypeAlias = tuple[int, int]
 _HOLE, _FLAT, _MIXED, _FACE = 0, 1, 2, 3
 _COUNT, _SUM, _LOWEST, _HIGHEST = 0, 1, 2, 3
 
@@ -83,9 +86,7 @@ def render_height_map(
         (sensor_m[0] - wide.min_x_m) / wide.resolution_m - 0.5,
         (sensor_m[1] - wide.min_y_m) / wide.resolution_m - 0.5,
     )
-    heights = _heights(
-        levels, parts, kinds, wide.columns, wide.rows, *seen_from, grid.resolution_m > COARSE_M
-    )
+    heights = _heights(levels, parts, kinds, wide.columns, wide.rows, *seen_from, grid.resolution_m)
     if grid.resolution_m <= COARSE_M:
         tops = levels[:, _HIGHEST].reshape(heights.shape)
         corner = (wide.min_x_m, wide.min_y_m)
@@ -242,7 +243,7 @@ def _heights(
     rows: int,
     sensor_column: float,
     sensor_row: float,
-    coarse: bool,
+    resolution: float,
 ) -> NDArray[np.float32]:
     """(rows, columns): each cell's height by its own returns and the levels that its neighbours share."""
     heights = np.full((rows, columns), np.nan, dtype=np.float32)
@@ -258,8 +259,16 @@ def _heights(
             else:
                 low = parts[cell, 1] / parts[cell, 0]
                 top = parts[cell, 3] / max(parts[cell, 2], 1.0)
-            if kinds[row, column] == _FACE or coarse:
+            if resolution > COARSE_M:
                 heights[row, column] = top
+                continue
+            across, along = column - sensor_column, row - sensor_row
+            far = max(abs(across), abs(along), 1e-9)
+            step = (round(across / far), round(along / far))
+            behind = _share_behind(parts, row, column, columns, rows, step)
+            if kinds[row, column] == _FACE:
+                if span < TALL_M or behind < 1 or not _is_spill(parts[cell], step, resolution):
+                    heights[row, column] = top
                 continue
             _look_around(levels, kinds, row, column, columns, rows, low, top, around)
             if kinds[row, column] == _FLAT:
@@ -267,21 +276,31 @@ def _heights(
                     heights[row, column] = low
                 continue
             choice = _choose(parts[cell, 0], parts[cell, 4], parts[cell, 2], span, around)
-            if choice > 0 and around[2] <= 1 and span > 0.3:
+            if choice > 0 and around[2] <= 1 and span > 0.3 and behind >= BEHIND_SHARE:
                 # Which of two cells a face on their border belongs to is for noise to say; it has stood
                 # in front of the solid, never behind it.
-                across, along = column - sensor_column, row - sensor_row
-                far = max(abs(across), abs(along), 1e-9)
-                c, r = column + round(across / far), row + round(along / far)
-                if 0 <= r < rows and 0 <= c < columns:
-                    behind = parts[r * columns + c, 4]
-                    if behind > 0 and behind >= BEHIND_SHARE * parts[cell, 4]:
-                        choice = 0
+                choice = 0
             if choice > 0 and _is_outweighed(parts, row, column, columns, rows):
                 choice = 0
             if choice != 0:
                 heights[row, column] = top if choice > 0 else low
     return heights
+
+
+@compiled
+def _share_behind(parts: FloatArray, row: int, column: int, columns: int, rows: int, step: IntPair) -> float:
+    """Returns of a face in the cell behind this one, as the sensor sees it: times those in this one."""
+    r, c = row + step[1], column + step[0]
+    if not (0 <= r < rows and 0 <= c < columns):
+        return 0.0
+    return float(parts[r * columns + c, 4] / max(parts[row * columns + column, 4], 1e-9))
+
+
+@compiled
+def _is_spill(part: FloatArray, step: IntPair, resolution: float) -> bool:
+    """Whether a cell's returns of a face lie towards the cell behind it, where more of them are."""
+    towards = (step[0] * part[5] + step[1] * part[6]) / max(np.sqrt(float(step[0] ** 2 + step[1] ** 2)), 1.0)
+    return bool(towards > SPILL_RATIO * resolution * part[4])
 
 
 @compiled

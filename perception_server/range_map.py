@@ -3,7 +3,8 @@
 The nearest return alone would be biased towards the viewer by the noise of many; so a pixel's value is the
 mean of the returns within NEAR_M behind its nearest one. Where a near surface was not hit, returns from
 what it hides would show through: a pixel of few returns that lies behind most of its neighbours stays a
-hole.
+hole. Noise carries returns of an edge into the pixels beside it: where few of a pixel's returns are near
+ones, and a neighbour has many of that surface, the two contradict each other, and it stays a hole too.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from perception_server.frames import FloatArray
 
 NEAR_M = 0.06  # thickness of a surface as a scanner sees it: +-3 sigma
 BEHIND_RATIO = 0.03  # a pixel is behind its neighbour if farther by this share of the range
+STRAY_SHARE = 0.25  # of a pixel's returns and of a neighbour's: so few are noise of what stands there
 FEW = 3  # returns that may have come through a gap
 
 
@@ -143,6 +145,7 @@ def _seen(surface: FloatArray, columns: int, rows: int) -> NDArray[np.float32]:
             value = surface[pixel, 1] / surface[pixel, 0]
             limit = max(NEAR_M, BEHIND_RATIO * value)
             in_front = level = 0
+            outweighed = False
             for r in range(max(0, row - 1), min(rows, row + 2)):
                 for c in range(max(0, column - 1), min(columns, column + 2)):
                     other = r * columns + c
@@ -153,6 +156,9 @@ def _seen(surface: FloatArray, columns: int, rows: int) -> NDArray[np.float32]:
                         in_front += 1
                     elif distance > -limit:
                         level += 1
+                        outweighed |= surface[pixel, 0] < STRAY_SHARE * surface[other, 0]
+            if outweighed and surface[pixel, 0] < STRAY_SHARE * surface[pixel, 2]:
+                continue
             if surface[pixel, 0] > FEW or in_front < 2 or in_front <= level:
                 seen[row, column] = value
     return seen

@@ -198,20 +198,29 @@ def test_an_empty_history_and_an_unknown_frame_say_so() -> None:
     assert (view.status, view.error) == (VIEW_STATUS_NO_DATA, "no transform connects 'tail' with 'map'")
 
 
-def test_the_sweep_of_a_spindle_is_its_last_half_turn() -> None:
+def sweep_of_a_spindle(speed_mps: float) -> View:
+    """The latest sweep of a scanner that turns at 18 degrees/s, 1.8 between scans, and moves along x."""
     history = still_robot()
-    for step in range(400):  # 1.8 degrees between scans, 18 degrees/s
+    for step in range(400):
         stamp_ns = round((10 + step * 0.1) * S)
         turn = math.radians(1.8 * step) / 2
         for at_ns in (stamp_ns, stamp_ns + 1000):
-            pose = (0.0, 0.0, 0.0, math.sin(turn), 0.0, 0.0, math.cos(turn))
+            pose = (speed_mps * step * 0.1, 0.0, 0.0, math.sin(turn), 0.0, 0.0, math.cos(turn))
             history.insert_transforms([StampedTransform(at_ns, "base", "laser", pose)], 0)
         ranges = np.ones(10, np.float32)
         history.insert_scan(RawScan("scan", "laser", stamp_ns, 0.0, 0.0, 0.1, ranges), 0)
-    view = answer(ViewRequest(preset="cloud_scene", frame_id="base"), history.snapshot(), PLENTY)
     request = ViewRequest(preset="cloud_scene", frame_id="base", time_mode=ViewRequest.TIME_MODE_LATEST_SWEEP)
-    view = answer(request, history.snapshot(), PLENTY)
-    assert view.source_count in (102, 103)  # 183 degrees / 1.8, and the first
+    return answer(request, history.snapshot(), PLENTY)
+
+
+def test_the_sweep_of_a_spindle_is_its_last_half_turn() -> None:
+    assert sweep_of_a_spindle(0.0).source_count in (102, 103)  # 183 degrees / 1.8, and the first
+
+
+def test_the_sweep_of_a_scanner_that_moves_goes_on_until_its_ends_overlap() -> None:
+    # 1.23 m on the way, seen from 1.5 m: 39 degrees more.
+    assert sweep_of_a_spindle(0.1).source_count in (124, 125)
+    assert sweep_of_a_spindle(2.0).source_count in (127, 128)  # never more than 45 degrees
 
 
 def test_a_disparity_image_becomes_points_before_its_camera() -> None:

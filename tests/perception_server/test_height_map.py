@@ -50,6 +50,17 @@ def test_single_returns_of_a_face_do_not_stand_for_the_floor_beside_it() -> None
     assert np.isnan(heights[20:22, 19]).all()
 
 
+def test_a_wall_on_the_border_of_two_cells_stands_in_the_one_behind() -> None:
+    random = np.random.default_rng(3)
+    up, along = np.meshgrid(np.arange(0.0, 1.2, 0.02), np.arange(-0.6, 0.6, 0.005))
+    # The noise is along the beams; the wall's mean lies 4 mm behind the border at 0.6.
+    wall = np.stack([0.604 + random.normal(0.0, 0.01, up.size), along.ravel(), up.ravel()], axis=-1)
+    floor = level((0.0, 0.6), (-0.6, 0.6), 0.0)
+    heights = seen(np.concatenate([floor, wall]))
+    assert np.nanmax(heights[1:-1, :20]) < 0.05
+    assert np.nanmin(heights[1:-1, 20]) > 1.1
+
+
 def test_a_view_without_points_is_all_holes() -> None:
     nothing = np.zeros((0, 3), np.float32)
     heights = render_height_map(nothing, GRID, np.zeros((0, 3), np.float32), np.zeros(0, np.int64))
