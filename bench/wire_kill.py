@@ -7,7 +7,8 @@ not. Exit code 1 if a message is lost without a word, doubled, or a journal is c
 crossed each way after a kill, three things take their time:
 
     process    until the new process has its port and its bus: interpreter, imports, Zenoh
-    handshake  from then on, until it has proof that the peer is there: one round trip
+    handshake  from then on, until it has proof that the peer is there: one round trip, less what it has
+               had of it while the process was loading
     channel    from then on too, until a message has crossed, without the wait for one to be published:
                the slower direction
     resume     the same with that wait

@@ -13,14 +13,16 @@ import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
-from messages.dccl.info import FieldInfo, describe
 from messages.payload import TopicEncoding
-from messages.payload.bounded import BoundedEncoding
 from shaper.errors import DecodeError
 from shaper.handshake import TABLE_HASH_BYTES
 from shaper.key_expression import check_key_expression, matches
 from shaper.traffic_class import TopicRule
+
+if TYPE_CHECKING:
+    from messages.dccl import FieldInfo
 
 MAX_TABLE_BYTES = 1 << 20
 MAX_PACKED_BYTES = 100_000
@@ -128,6 +130,10 @@ def _declaration(rule: TopicRule) -> dict[str, str]:
 
 def _meaning(encoding: TopicEncoding) -> str:
     """An encoding in parts, of which the first that differs can be named: kind, fields, all the rest."""
+    # Imported here: what codecs take to load is not for shapers without encodings.
+    from messages.dccl.info import describe
+    from messages.payload.bounded import BoundedEncoding
+
     kind = " ".join(encoding.description.split(" ")[:2])
     fields = []
     if isinstance(encoding, BoundedEncoding):

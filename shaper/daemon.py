@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import secrets
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -15,28 +14,20 @@ from functools import partial
 from pathlib import Path
 
 from messages.attachment import Stamp, decode_stamp
-from shaper.agreement import make_table
 from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
 from shaper.config import ShaperConfig
+from shaper.doorstep import Doorstep
 from shaper.endpoint import Endpoint
-from shaper.errors import ConfigError
 from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.flood_gate import FloodGate
-from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
-from shaper.handshake import MEMORY_BYTES, Identity
-from shaper.journal_file import JournalFile
-from shaper.key_file import read_key_file
-from shaper.link_end import Channel, LinkEnd, pump_link
+from shaper.frames import IP_UDP_BYTES
+from shaper.link_end import LinkEnd, pump_link
 from shaper.link_estimator import LinkEstimator, PresetBands
-from shaper.link_key import LinkKey
-from shaper.metrics import MetricsServer
 from shaper.notices import Notice
-from shaper.open_channel import OpenChannel
 from shaper.operator_lost import OperatorBack, OperatorLost, OperatorWatch
-from shaper.secure_channel import Address, SecureChannel
+from shaper.secure_channel import Address
 from shaper.session import TAG_BYTES as PROTECTION_BYTES
-from shaper.table_exchange import TableExchange
 from shaper.trace import TraceFile
 from shaper.trace_records import (
     LEDGER_INTERVAL_NS,
@@ -48,7 +39,7 @@ from shaper.trace_records import (
     start_record,
 )
 from shaper.traffic_class import Keep, first_match
-from shaper.udp import Datagrams, UdpLink
+from shaper.udp import Datagrams
 
 _NS_PER_S = 1_000_000_000
 _BUS_RETRY_S = 1.0
@@ -63,11 +54,11 @@ _log = logging.getLogger(__name__)
 
 
 class Daemon:
-    """One side of the link, from `start` to `stop`."""
+    """One side of the link, from `start` to `stop`; behind its doorstep, which has its port and its keys."""
 
-    def __init__(self, config: ShaperConfig, trace_path: Path | None = None) -> None:
-        self._keys = read_keys(config)
+    def __init__(self, config: ShaperConfig, door: Doorstep, trace_path: Path | None = None) -> None:
         self._config = config
+        self._door = door
         self._trace = None if trace_path is None else TraceFile(trace_path)
         self._bins = SentBins(lambda record: self._trace.write(record) if self._trace else None)
         self._sends: Direction = "down" if config.side == "robot" else "up"
@@ -89,14 +80,8 @@ class Daemon:
         with contextlib.ExitStack() as stack:
             if self._trace is not None:
                 stack.callback(self._trace.close)
-            # The port first: a daemon that runs already is told by that, and nothing of it is touched.
-            self._udp = await UdpLink.open(self._config.listen, self._config.peer, self._on_datagrams)
-            stack.callback(self._udp.close)
-            journal = _open_journal(self._config)
-            if journal is not None:
-                stack.callback(journal.close)
-                stack.callback(self._on_handed_over)
-            self._set_up(self._udp.peer, journal)
+            stack.callback(self._on_handed_over)
+            self._set_up()
             stack.callback(self._finish_trace)
             session = await self._open_bus(stop)
             if session is None:  # asked to stop while the bus was not there yet
@@ -106,41 +91,34 @@ class Daemon:
             self._listeners_until_s = time.monotonic() + _LISTENERS_S
             stack.callback(outlet.close)
             if self._config.metrics is not None:
+                from shaper.metrics import MetricsServer  # takes a while to load, and few want it
+
                 stack.callback(
                     MetricsServer(self._config.metrics, self.endpoint, self._link.counters_dict).close
                 )
             self._inlet = self._open_inlet(session)
             stack.callback(self._inlet.close)
             self._start_trace()
+            self._door.hand_over(self._on_datagrams)
             self._pump(time.monotonic_ns())
             ledgers = asyncio.create_task(self._tell_ledgers())
             stack.callback(ledgers.cancel)
             stack.callback(self._stop_timer)
             await stop.wait()
 
-    def _set_up(self, peer: Address, journal: JournalFile | None) -> None:
+    def _set_up(self) -> None:
         """The endpoint behind its channel."""
-        config, now_ns, unix_ns = self._config, time.monotonic_ns(), time.time_ns()
-        settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if self._keys else 0)
+        config, door, now_ns, unix_ns = self._config, self._door, time.monotonic_ns(), time.time_ns()
+        settings = replace(config.endpoint, protection_bytes=PROTECTION_BYTES if door.keys else 0)
         estimator = _make_estimator(config, now_ns)
-        tables = TableExchange(make_table(settings.rules, settings.accept, settings.encodings))
-        if journal is None:
-            epoch, memory = secrets.randbits(EPOCH_BITS), secrets.token_bytes(MEMORY_BYTES)
-        else:
-            epoch, memory = journal.begin_life(), journal.memory
-        self.endpoint = Endpoint(settings, estimator, epoch, now_ns, unix_ns, journal)
-        channel: Channel
-        if self._keys:
-            identity = Identity(epoch, memory, tables.hash)
-            channel = SecureChannel(
-                config.side, self._keys, identity, peer, secrets.token_bytes, now_ns, unix_ns
-            )
-        else:
-            _log.warning("the link is open: whoever can reach %s:%d is heard", *config.listen)
-            channel = OpenChannel(peer)
+        self.endpoint = Endpoint(settings, estimator, door.epoch, now_ns, unix_ns, door.journal)
+        if door.said_bytes:
+            self.endpoint.on_channel_sent(door.said_bytes, now_ns)
+            self._bins.on_sent(door.said_bytes + IP_UDP_BYTES, now_ns)
         lost = config.operator_lost
         watch = None if lost is None else OperatorWatch(lost, now_ns)
-        self._link = LinkEnd(self.endpoint, channel, watch, tables)
+        self._link = LinkEnd(self.endpoint, door.channel, watch, door.tables)
+        self._seen_ns = now_ns
 
     def _open_inlet(self, session: Session) -> BusInlet:
         def wake() -> None:
@@ -191,8 +169,6 @@ class Daemon:
             self._pump(now_ns)
 
     def _on_datagrams(self, datagrams: Datagrams) -> None:
-        if self._outlet is None:  # the bus is not there yet: nobody could be told
-            return
         for data, source, received_ns in datagrams:
             self._seen_ns = max(self._seen_ns, received_ns)  # the core's time never goes back
             self._link.receive(data, source, self._seen_ns)
@@ -219,15 +195,15 @@ class Daemon:
         """Tell the kernel which session numbers are ours, and how many initiations, whenever that changes."""
         channel = self._link.channel
         wanted = channel.session_ids(), self._gate.look(channel.unwanted_initiations, now_ns)
-        if self._keys and wanted != self._filtered:
+        if self._door.keys and wanted != self._filtered:
             self._filtered = wanted
-            key_ids = [key.id for key in self._keys] if channel.ready else []
-            self._udp.take_only(wanted[0], key_ids, wanted[1])
+            key_ids = [key.id for key in self._door.keys] if channel.ready else []
+            self._door.udp.take_only(wanted[0], key_ids, wanted[1])
 
     # What comes out.
 
     def _send(self, datagram: bytes, address: Address) -> None:
-        self._udp.send(datagram, address)
+        self._door.udp.send(datagram, address)
         self._bins.on_sent(len(datagram) + IP_UDP_BYTES, time.monotonic_ns())
 
     def _handle(self, event: Event) -> None:
@@ -323,7 +299,7 @@ class Daemon:
                 **asdict(state),
                 "sends": self._sends,
                 "receiving": told and {**receiving_record(told), "age_ns": now_ns - told.told_ns},
-                "secured": bool(self._keys) and self._link.channel.ready,
+                "secured": bool(self._door.keys) and self._link.channel.ready,
                 "peer": f"{peer[0]}:{peer[1]}",
                 "last_heard_age_ns": self._link.silence_ns(now_ns),
                 "operator_lost": watch is not None and watch.lost,
@@ -384,30 +360,6 @@ class Daemon:
         self._bins.flush()
         if self._trace is not None:
             self._trace.write(ledger_record(self.endpoint, self._sends, time.monotonic_ns()))
-
-
-def read_keys(config: ShaperConfig) -> tuple[LinkKey, ...]:
-    """The link keys of a configuration; none for an open link. Raises ConfigError."""
-    if not config.key_files and not config.open_link:
-        raise ConfigError(
-            "link.keys is missing: a robot's commands need a key: run `straitlink keygen link.key`, copy the "
-            'file to the other side and set link.keys = ["link.key"] on both (or link.open = true, which is '
-            "for loopback only)"
-        )
-    keys = tuple(read_key_file(path) for path in config.key_files)
-    for index, key in enumerate(keys):
-        if key.id in {other.id for other in keys[:index]}:
-            raise ConfigError(f"{config.key_files[index]}: key {key.name} stands twice in link.keys")
-    return keys
-
-
-def _open_journal(config: ShaperConfig) -> JournalFile | None:
-    if config.journal is None:
-        return None
-    limits = config.endpoint.limits
-    return JournalFile(
-        config.journal, secrets.token_bytes, limits.max_journal_messages, limits.max_journal_bytes
-    )
 
 
 def _make_estimator(config: ShaperConfig, now_ns: int) -> LinkEstimator:

@@ -95,6 +95,10 @@ class UdpLink:
             return False
         return True
 
+    def hand_to(self, on_datagrams: Callable[[Datagrams], None]) -> None:
+        """Somebody else takes from now on what gathers."""
+        self._on_datagrams = on_datagrams
+
     def close(self) -> None:
         """Close the socket; nothing leaves from now on."""
         if self._socket is not None:

@@ -16,18 +16,27 @@ def shaper(
     trace: Annotated[Path | None, typer.Option(help="Write events as JSON lines to this file.")] = None,
 ) -> None:
     """Carry this host's topics over the link, until SIGTERM or Ctrl-C."""
+    import asyncio
     import logging
 
     from shaper.config import load_config
-    from shaper.daemon import Daemon
+    from shaper.doorstep import Doorstep
     from straitlink.processes import run_until_signal
 
     logging.basicConfig(level=logging.INFO, format="shaper: %(message)s")
     settings = load_config(config)
-    daemon = Daemon(settings, trace)  # refuses a key that others can read before anything is said
+    door = Doorstep(settings)  # refuses a key that others can read before anything is said
     listen, peer = (f"{host}:{port}" for host, port in (settings.listen, settings.peer))
     typer.echo(f"shaper: {settings.side} side on {listen}, peer {peer}", err=True)
-    run_until_signal(daemon.run)
+
+    async def run(stop: asyncio.Event) -> None:
+        with door:
+            await door.step()
+            from shaper.daemon import Daemon  # takes a while to load: the answer comes meanwhile
+
+            await Daemon(settings, door, trace).run(stop)
+
+    run_until_signal(run)
 
 
 @app.command()

@@ -6,7 +6,7 @@ import pytest
 
 from shaper.config import load_config
 from shaper.config_tables import parse_address
-from shaper.daemon import read_keys
+from shaper.doorstep import read_keys
 from shaper.errors import ConfigError
 from shaper.incoming import Limits
 from shaper.traffic_class import DEFAULT_CLASSES, Compression, Entries, Keep
