@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test test-guest lint bench bench-peers proto messages-page clean
+.PHONY: demo test test-thorough test-guest lint bench bench-peers proto messages-page clean
 
 # The environment: pinned versions from requirements.lock, then the project itself, editable.
 $(READY): requirements.lock pyproject.toml
@@ -18,10 +18,16 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)
 	$(BIN)/straitlink demo $(if $(LOG),--log "$(LOG)") $(DEMO_ARGS)
 
-# What needs no clock on both cores at once, then the tests with real processes, which keep time, one by one.
+# First what needs no clock, then the tests with real processes, which mostly wait; two at a time each.
 test: $(READY)
-	$(BIN)/python -m pytest -m "not guest and not live" -n 2 $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -m "live and not guest" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "live and not guest" -n 2 --dist loadgroup $(PYTEST_ARGS)
+
+# Twenty times the examples of each property, new ones each time, and 500 missions of chaos: about an hour.
+test-thorough: $(READY)
+	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadgroup \
+		--hypothesis-profile=thorough --timeout=1200 $(PYTEST_ARGS)
+	$(BIN)/straitlink chaos --count 500
 
 # Over a real kernel's netem, in user-mode Linux; needs tools/install_guest.sh and takes some minutes more.
 test-guest: $(READY)

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from straitlink.synthetic import SyntheticSettings, synthesize
 from tests.live.processes import ROOT, marked_processes, wait_until
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.xdist_group("demonstrations")]  # two look at one run
 
 
 @pytest.fixture(scope="module")
@@ -50,17 +50,24 @@ def messages(recording: Path) -> dict[str, list[bytes]]:
     return found
 
 
-def test_a_log_crosses_byte_for_byte_and_is_reported(log: Path, tmp_path: Path) -> None:
-    process = start(log, tmp_path / "demo", 6)
+@pytest.fixture(scope="module")
+def finished(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a demonstration that ran to its end."""
+    out = tmp_path_factory.mktemp("finished") / "demo"
+    process = start(log, out, 6)
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 0, output
-    sent, got = messages_of_log(log), messages(tmp_path / "demo" / "operator.mcap")
+    assert not marked_processes(MARK)
+    return out
+
+
+def test_a_log_crosses_byte_for_byte_and_is_reported(log: Path, finished: Path) -> None:
+    sent, got = messages_of_log(log), messages(finished / "operator.mcap")
     assert {"/robot/joint_states", "/robot/lidar/scan", "/robot/head_camera/image"} <= set(got)
     for topic, payloads in got.items():
         assert set(payloads) <= set(sent[topic]), topic
-    page = (tmp_path / "demo" / "report.html").read_text()
+    page = (finished / "report.html").read_text()
     assert "robot/joint_states" in page and "http://" not in page.replace("http://www.w3.org", "")
-    assert not marked_processes(MARK)
 
 
 def messages_of_log(log: Path) -> dict[str, list[bytes]]:
@@ -103,9 +110,8 @@ def test_a_folder_of_somebody_else_s_files_is_left_alone(log: Path, tmp_path: Pa
     assert notes.read_text() == "mine"
 
 
-def test_a_mistake_costs_no_earlier_result(log: Path, tmp_path: Path) -> None:
-    out = tmp_path / "demo"
-    start(log, out, 5).communicate(timeout=60)
+def test_a_mistake_costs_no_earlier_result(finished: Path, tmp_path: Path) -> None:
+    out = finished
     recorded = (out / "operator.mcap").read_bytes()
     for mistaken in (tmp_path / "none.mcap", out / "operator.mcap"):
         process = start(mistaken, out, 5)

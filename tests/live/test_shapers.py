@@ -80,7 +80,11 @@ def test_live_and_virtual_time_agree(tmp_path: Path) -> None:
         assert sent[key] == pytest.approx(row["offered"], abs=1)
         assert len(measured[key]) == pytest.approx(row["delivered"], rel=0.05), key
         assert np.percentile(measured[key], 50) == pytest.approx(row["age_p50_ms"], rel=0.20), key
-    assert len(measured["robot/heartbeat"]) == sent["robot/heartbeat"]
+    ledger = last_ledger(rig, "robot")["robot/heartbeat"]
+    kept = (
+        ledger["offered"] - ledger["superseded"]
+    )  # a stall of the machine by 100 ms lets one replace another
+    assert len(measured["robot/heartbeat"]) == kept >= 0.98 * sent["robot/heartbeat"]
     waits_ms = [r["queue_delay_ns"] / 1e6 for r in rig.records("link") if r["event"] == "packet"]
     assert max(waits_ms) < 2500
 
@@ -108,6 +112,12 @@ def test_a_killed_daemon_resumes_without_touching_the_other_side(tmp_path: Path,
         finally:
             stop.set()
             publisher.join()
+
+
+def last_ledger(rig: Rig, side: str) -> dict[str, Any]:
+    """What a side says became of each topic's messages, when it stopped."""
+    (*_, ledger) = [record["topics"] for record in rig.records(side) if record["event"] == "ledger"]
+    return dict(ledger)
 
 
 def delivered(rig: Rig, side: str) -> int:

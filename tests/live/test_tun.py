@@ -34,6 +34,7 @@ def why_no_namespaces() -> str:
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.xdist_group("namespaces"),  # they look at all of the machine's
     pytest.mark.skipif(bool(why_no_namespaces()), reason=why_no_namespaces() or "it can"),
 ]
 

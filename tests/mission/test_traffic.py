@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -13,6 +15,7 @@ from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 from tests.mission.scenarios import S, TraceLog, band, both_ways, settings, with_faults
 from tests.mission.test_trials import accounted
 
+pytestmark = pytest.mark.xdist_group("missions over broken links")  # several tests look at one flight
 FAST, THIN = (1_000_000, 50), (100_000, 500)  # bit/s, ms one way
 MESSY = {"duplicate_ratio": 0.01, "jitter_ns": 5_000_000, "reorder": True}
 RELIABLE = ("robot/plan", "operator/command", "operator/plan")
@@ -62,14 +65,13 @@ class = "perception"
 class Flight:
     """A mission with the loads above, and what its traces say."""
 
-    def __init__(
-        self, tmp_path: Path, profile: Profile, seconds: float, seed: int = 1, load: str = LOAD
-    ) -> None:
-        path = tmp_path / "load.toml"
-        path.write_text(load)
+    def __init__(self, profile: Profile, seconds: float, seed: int = 1, load: str = LOAD) -> None:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "load.toml"
+            path.write_text(load)
+            parsed = load_named_or_file(str(path))
         self.trace = TraceLog()
-        mission = MissionSettings(profile, load_named_or_file(str(path)), int(seconds * S), seed)
-        self.result = run_mission(mission, self.trace)
+        self.result = run_mission(MissionSettings(profile, parsed, int(seconds * S), seed), self.trace)
 
     @property
     def topics(self) -> dict[str, Any]:
@@ -94,13 +96,19 @@ def receiver_of(topic: str) -> str:
 # Loss, reordering and duplication (point 2).
 
 
+@cache
+def lossy_flight(loss_ratio: float, seed: int) -> Flight:
+    """Two minutes over a fast link that also duplicates and reorders."""
+    lossy = with_faults(load_profile("constant-1m-50ms"), loss_ratio=loss_ratio, **MESSY)
+    return Flight(lossy, 120, seed, LOAD + IMAGES)
+
+
 @pytest.mark.parametrize("loss_ratio", [0.1, 0.2])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_over_a_lossy_link_what_must_arrive_does_once_in_order_and_cheaply(
-    tmp_path: Path, loss_ratio: float, seed: int
+    loss_ratio: float, seed: int
 ) -> None:
-    lossy = with_faults(load_profile("constant-1m-50ms"), loss_ratio=loss_ratio, **MESSY)
-    flight = Flight(tmp_path, lossy, 120, seed, LOAD + IMAGES)
+    flight = lossy_flight(loss_ratio, seed)
     repeated = sent = 0
     for topic in RELIABLE:
         row = flight.topics[topic]
@@ -112,11 +120,8 @@ def test_over_a_lossy_link_what_must_arrive_does_once_in_order_and_cheaply(
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_at_a_tenth_of_loss_nineteen_of_twenty_images_arrive_for_less_than_a_third_more(
-    tmp_path: Path, seed: int
-) -> None:
-    lossy = with_faults(load_profile("constant-1m-50ms"), loss_ratio=0.1, **MESSY)
-    row = Flight(tmp_path, lossy, 120, seed, LOAD + IMAGES).topics["robot/image"]
+def test_at_a_tenth_of_loss_nineteen_of_twenty_images_arrive_for_less_than_a_third_more(seed: int) -> None:
+    row = lossy_flight(0.1, seed).topics["robot/image"]
     started = row["delivered"] + row["lost"] + row["stale"]
     assert started > 200
     assert row["delivered"] >= 0.95 * started
@@ -124,10 +129,8 @@ def test_at_a_tenth_of_loss_nineteen_of_twenty_images_arrive_for_less_than_a_thi
 
 
 @pytest.mark.parametrize("profile", ["constant-1m-50ms", "constant-100k-500ms"])
-def test_a_link_that_loses_nothing_carries_no_parity_and_repeats_nothing(
-    tmp_path: Path, profile: str
-) -> None:
-    flight = Flight(tmp_path, with_faults(load_profile(profile), **MESSY), 120, 1, LOAD + IMAGES)
+def test_a_link_that_loses_nothing_carries_no_parity_and_repeats_nothing(profile: str) -> None:
+    flight = Flight(with_faults(load_profile(profile), **MESSY), 120, 1, LOAD + IMAGES)
     for name, row in flight.topics.items():
         assert row["repeated_bytes"] == 0, name
         assert row["lost"] == 0, name
@@ -142,14 +145,19 @@ def blackout(rate_bps: int, delay_ms: int, held: bool) -> Profile:
     return both_ways(band(10, rate_bps, delay_ms), dark, band(20, rate_bps, delay_ms), buffer_s=40)
 
 
+@cache
+def dark_flight(rate_bps: int, delay_ms: int, held: bool) -> Flight:
+    return Flight(blackout(rate_bps, delay_ms, held), 60)
+
+
 @pytest.mark.parametrize("link", [FAST, THIN], ids=["fast", "thin"])
 @pytest.mark.parametrize("held", [False, True], ids=["dropping", "holding the queue"])
 def test_twenty_plans_of_a_blackout_arrive_once_in_order_and_within_three_round_trips(
-    tmp_path: Path, link: tuple[int, int], held: bool
+    link: tuple[int, int], held: bool
 ) -> None:
     """... and their own transmission time; a link that held its queue first serves what was in flight."""
     rate_bps, delay_ms = link
-    flight = Flight(tmp_path, blackout(rate_bps, delay_ms, held), 60)
+    flight = dark_flight(rate_bps, delay_ms, held)
     for topic in ("robot/plan", "operator/plan"):
         side = receiver_of(topic)
         assert flight.numbers(side, topic) == list(range(40)), topic
@@ -163,11 +171,9 @@ def test_twenty_plans_of_a_blackout_arrive_once_in_order_and_within_three_round_
 
 
 @pytest.mark.parametrize("link", [FAST, THIN], ids=["fast", "thin"])
-def test_after_a_blackout_the_newest_state_comes_and_nothing_stale(
-    tmp_path: Path, link: tuple[int, int]
-) -> None:
+def test_after_a_blackout_the_newest_state_comes_and_nothing_stale(link: tuple[int, int]) -> None:
     rate_bps, delay_ms = link
-    flight = Flight(tmp_path, blackout(rate_bps, delay_ms, held=False), 60)
+    flight = dark_flight(rate_bps, delay_ms, held=False)
     for topic in ("robot/heartbeat", "robot/joints"):
         after = [(w, age) for w, age in flight.trace.deliveries("operator", topic) if w > 40]
         assert after[0][0] - 40 < 4 * 2 * delay_ms / 1000, topic
@@ -175,11 +181,9 @@ def test_after_a_blackout_the_newest_state_comes_and_nothing_stale(
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["dropping", "holding the queue"])
-def test_commands_that_expired_in_the_dark_are_reported_and_the_rest_delivered(
-    tmp_path: Path, held: bool
-) -> None:
+def test_commands_that_expired_in_the_dark_are_reported_and_the_rest_delivered(held: bool) -> None:
     seldom = LOAD.replace('rate_hz = 10\nclass = "command"', 'rate_hz = 2\nclass = "command"')
-    flight = Flight(tmp_path, blackout(*FAST, held), 60, load=seldom)  # so that they expire, and are not shed
+    flight = Flight(blackout(*FAST, held), 60, load=seldom)  # so that they expire, and are not shed
     row = flight.topics["operator/command"]
     numbers = flight.numbers("robot", "operator/command")
     assert numbers == sorted(set(numbers))
@@ -200,16 +204,16 @@ def test_commands_that_expired_in_the_dark_are_reported_and_the_rest_delivered(
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_every_message_is_in_exactly_one_counter_whatever_the_link_did(tmp_path: Path, seed: int) -> None:
+def test_every_message_is_in_exactly_one_counter_whatever_the_link_did(seed: int) -> None:
     lossy = with_faults(blackout(*FAST, held=False), duplicate_ratio=0.02)
-    for name, row in Flight(tmp_path, lossy, 60, seed, LOAD + IMAGES).topics.items():
+    for name, row in Flight(lossy, 60, seed, LOAD + IMAGES).topics.items():
         assert row["offered"] == accounted(row), name
         assert min(value for value in row.values() if isinstance(value, int)) >= 0, name
 
 
-def test_the_same_seed_gives_the_same_trace_with_everything_going_wrong(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_trace_with_everything_going_wrong() -> None:
     lossy = with_faults(load_profile("constant-1m-50ms"), loss_ratio=0.15, **MESSY)
-    runs = [Flight(tmp_path, lossy, 40, seed, LOAD + IMAGES) for seed in (7, 7, 8)]
+    runs = [Flight(lossy, 40, seed, LOAD + IMAGES) for seed in (7, 7, 8)]
     assert runs[0].result == runs[1].result
     assert runs[0].trace.records == runs[1].trace.records
     assert runs[0].result["trace_sha256"] != runs[2].result["trace_sha256"]

@@ -41,7 +41,7 @@ def floats_with_bounds(draw: st.DrawFn) -> tuple[Numeric, float]:
 
 
 @given(floats_with_bounds())
-@settings(deadline=None, max_examples=2000, derandomize=True)
+@settings(max_examples=4 * settings().max_examples)
 def test_an_affine_field_sends_its_index_less_its_origin(case: tuple[Numeric, float]) -> None:
     n, value = case
     expected = long_form(n, value)
@@ -55,7 +55,7 @@ def test_an_affine_field_sends_its_index_less_its_origin(case: tuple[Numeric, fl
 
 
 @given(floats_with_bounds())
-@settings(deadline=None, max_examples=500, derandomize=True)
+@settings(max_examples=2 * settings().max_examples)
 def test_a_field_s_bounds_are_valid_on_the_wire_and_nothing_beyond_them(case: tuple[Numeric, float]) -> None:
     n, _ = case
     if not n.is_affine:
@@ -65,7 +65,7 @@ def test_a_field_s_bounds_are_valid_on_the_wire_and_nothing_beyond_them(case: tu
 
 
 @given(floats_with_bounds(), st.data())
-@settings(deadline=None, max_examples=1000, derandomize=True)
+@settings(max_examples=2 * settings().max_examples)
 def test_an_affine_field_decodes_to_its_index_times_the_resolution(
     case: tuple[Numeric, float], data: st.DataObject
 ) -> None:
