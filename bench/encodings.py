@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 
 from mcap.reader import make_reader
 
+from bench.machine import keep
 from messages.bounded_catalogue import BOUNDED_CATALOGUE
 from messages.dccl import load_proto, sendable_types
 from messages.from_urdf import Detail, proto_of
@@ -31,7 +32,6 @@ from straitlink.schemas import PayloadType, zenoh_encoding
 from straitlink.synthetic.mission_log import synthesize
 from straitlink.synthetic.settings import SyntheticSettings
 
-OUT = Path("out/bench/encodings.json")
 ROUNDS = 5
 MESSAGES = 200  # of a topic
 MAX_BYTES = 1_000_000
@@ -132,11 +132,9 @@ def main() -> None:
             log = Path(folder) / "mission.mcap"
             synthesize(log, SyntheticSettings(6.0, 1, light=True))
         figures = run(log)
-    text = json.dumps([asdict(row) for row in figures], indent=1)
-    OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(text)
+    document = keep("encodings", {"topics": [asdict(row) for row in figures]})
     if arguments.json:
-        print(text)
+        print(json.dumps(document, indent=1))
         return
     print(f"{'topic':32}{'as':38}{'bus B':>8}{'link B':>8}{'encode us':>11}{'decode us':>11}")
     for row in figures:

@@ -8,7 +8,6 @@ process with Zenoh's own threads, read from /proc.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -20,12 +19,12 @@ from pathlib import Path
 
 import tomlkit
 
+from bench.machine import keep
 from messages.attachment import Stamp
 from shaper.bus import BusSettings, open_bus
 from straitlink.demo.configs import Addresses, free_addresses
 from straitlink.mission.load import LoadTopic, load_named_or_file
 
-OUT = Path("out/bench/ingest.json")
 _TICKS = os.sysconf("SC_CLK_TCK")
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _PLAN = "operator_like/plan"
@@ -153,8 +152,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=4000, help="messages per second")
     arguments = parser.parse_args()
     figures = measure(arguments.seconds, arguments.rate)
-    OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps(asdict(figures), indent=1))
+    keep("ingest", asdict(figures))
     for name, value in asdict(figures).items():
         print(f"{name:20} {value}")
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import subprocess
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,11 +17,28 @@ _PACKAGES = (
 )  # fmt: skip
 
 
+OUT = Path("out/bench")
+
+
+def keep(name: str, figures: dict[str, Any]) -> dict[str, Any]:
+    """Leave figures as out/bench/NAME.json under where they come from; returns all of it."""
+    document = {**provenance(), **figures}
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n")
+    return document
+
+
 def provenance() -> dict[str, Any]:
-    """commit (with + for uncommitted changes), python, machine, and the versions of what is measured."""
+    """commit (with + for uncommitted changes), when, python, machine, and the versions of what is measured.
+
+    load_average: of 1, 5 and 15 minutes when the bench ended, itself included; beyond the number of cores,
+    others took part of the machine.
+    """
     return {
         "commit": _git("rev-parse", "--short", "HEAD")
         + ("+" if _git("status", "--porcelain", "-uno") else ""),
+        "when": datetime.now(UTC).isoformat(timespec="minutes"),
+        "load_average": [round(load, 2) for load in os.getloadavg()],
         "python": platform.python_version(),
         "machine": platform.machine(),
         "kernel": platform.release(),

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.machine import keep
 from messages.proto.straitlink.view_pb2 import (
     VIEW_STATUS_DOES_NOT_FIT,
     VIEW_STATUS_NO_DATA,
@@ -44,7 +45,6 @@ from straitlink.synthetic.rigid import quaternion_from_rotation
 from straitlink.synthetic.scene import build_scene
 from straitlink.synthetic.settings import START_NS
 
-OUT = Path("out/bench/perception.json")
 DURATION_S = 120.0
 SEEDS = tuple(range(1, 17))
 _SWEEP_S = 6.2
@@ -376,8 +376,7 @@ def main() -> None:
         found = [asdict(each) for seed in SEEDS for each in accuracy(seed)]
     else:
         found = asdict(measure(arguments.runs, arguments.pairs))
-        OUT.parent.mkdir(parents=True, exist_ok=True)
-        OUT.write_text(json.dumps(found, indent=1))
+        keep("perception", found)
     if arguments.json:
         json.dump(found, sys.stdout, indent=1)
         return

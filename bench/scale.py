@@ -1,4 +1,4 @@
-"""What a shaper costs as topics, messages and links grow: `python -m bench.scale`.
+"""What a shaper costs as topics, messages, links and what lies behind it grow: `python -m bench.scale`.
 
 Virtual time, so that the link is the same however fast the machine is. CPU is that of both ends together,
 memory the peak of the process; each point runs in a process of its own. The exponent is the slope of log
@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from bench.machine import provenance
@@ -33,12 +33,22 @@ _NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """topics share messages_per_s evenly, on each of so many links."""
+    """topics share messages_per_s evenly, on each of so many links, for so many seconds.
+
+    backlog: messages that the queue of each topic may hold, reliable ones; 0 keeps the newest only.
+    """
 
     topics: int
     messages_per_s: int
     links: int
     seconds: int
+    backlog: int = 0
+
+    @property
+    def rule(self) -> TopicRule:
+        """Of all its topics."""
+        state, plan = DEFAULT_CLASSES["state"], DEFAULT_CLASSES["plan"]
+        return TopicRule("robot/**", replace(plan, depth=self.backlog) if self.backlog else state)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +64,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """How a cost grows with one quantity. exponent: 1 is linear."""
+    """How a cost grows with one quantity. exponent: 1 is linear, 0 is what time should cost."""
 
     quantity: str
     points: list[Point]
@@ -66,16 +76,17 @@ CURVES: dict[str, list[Case]] = {
     "topics": [Case(n, 1000, 1, 20) for n in (10, 100, 1000, 10_000)],
     "messages_per_s": [Case(20, n, 1, 20) for n in (100, 1000, 5000, 20_000)],
     "links": [Case(5, 100, n, 10) for n in (1, 5, 20, 50)],
+    "seconds": [Case(20, 1000, 1, n) for n in (10, 40, 160, 640)],
+    "backlog": [Case(1, 1000, 1, 60, n) for n in (10, 100, 1000, 10_000)],
 }
 
 
 def measure(case: Case) -> Point:
     """Play it in this process."""
     loop = EventLoop()
-    rule = TopicRule("robot/**", DEFAULT_CLASSES["state"])
     profile = load_profile(PROFILE)
     max_topics = max(4096, case.topics)
-    pairs = [Pair(loop, profile, [rule], max_topics, seed) for seed in range(case.links)]
+    pairs = [Pair(loop, profile, [case.rule], max_topics, seed) for seed in range(case.links)]
     payload = os.urandom(PAYLOAD_BYTES)
     end_ns = case.seconds * _NS_PER_S
     for pair in pairs:

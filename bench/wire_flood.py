@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.machine import keep
 from bench.wire_rig import BEAT_KEY, WireRig
 from messages.attachment import Stamp
 from shaper.bus import open_bus
@@ -113,8 +114,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     result = measure(arguments.rate, arguments.seconds, initiations=arguments.initiations)
+    document = keep("wire_flood_initiations" if arguments.initiations else "wire_flood", result)
     if arguments.json:
-        print(json.dumps(result, indent=1))
+        print(json.dumps(document, indent=1))
     else:
         for name, value in result.items():
             print(f"{name:24} {value}")

@@ -37,6 +37,7 @@ from typing import Any
 
 import zenoh
 
+from bench.machine import keep
 from bench.wire_rig import COMMAND_KEYS, DELAY_MS, WireRig, wait_until
 from messages.attachment import Stamp
 from shaper.bus import open_bus
@@ -229,8 +230,9 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     result = measure(arguments.kills, arguments.seed)
+    document = keep("wire_kill", result)
     if arguments.json:
-        print(json.dumps(result, indent=1))
+        print(json.dumps(document, indent=1))
     else:
         del result["each"]
         for name, value in result.items():
