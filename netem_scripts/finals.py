@@ -40,6 +40,21 @@ def finals_slow() -> Profile:
     return Profile("finals-slow", direction, direction, "9,600 bit/s for ever, 5,000 B of queue", _SOURCE)
 
 
+def finals_fast(seed: int = 1) -> Profile:
+    """The fast link of the Finals alone: robot to team, nothing ever comes back."""
+    bands = [Band(WINDOW_S * NS_PER_S, FAST_BPS, 0)]
+    for dark_s in blackouts_s(seed):
+        bands += (
+            Band(dark_s * NS_PER_S, FAST_BPS, 0, loss_ratio=1.0),
+            Band(WINDOW_S * NS_PER_S, FAST_BPS, 0),
+        )
+    down = DirectionProfile(tuple(bands), buffer_bytes=FAST_QUEUE_BYTES)
+    up = DirectionProfile((Band(60 * NS_PER_S, FAST_BPS, 0, loss_ratio=1.0),), buffer_bytes=FAST_QUEUE_BYTES)
+    name = "finals-fast" if seed == 1 else f"finals-fast-{seed}"
+    description = "down 300 Mbit/s in 1 s windows between 1 to 30 s of nothing, no way back"
+    return Profile(name, down, up, description, _SOURCE)
+
+
 def finals(seed: int = 1) -> Profile:
     """Both links of the Finals as one: down is fast in the windows and slow in the dark, up is always slow.
 

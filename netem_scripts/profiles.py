@@ -19,7 +19,7 @@ _NUMBER = r"(\d+(?:\.\d+)?)"
 _CONSTANT = re.compile(
     rf"constant-{_NUMBER}([km]?)-{_NUMBER}ms(?:-loss{_NUMBER})?(?:-jitter{_NUMBER}ms)?(?:-buffer{_NUMBER}ms)?"
 )
-_FINALS = re.compile(r"finals-(\d+)")
+_FINALS = re.compile(r"finals-(fast-)?(\d+)")
 _BPS_PER_UNIT = {"": 1, "k": 1_000, "m": 1_000_000}
 CONSTANT_FORM = "constant-<rate>[k|m]-<delay>ms[-loss<percent>][-jitter<ms>ms][-buffer<ms>ms]"
 
@@ -53,6 +53,7 @@ _NAMED: dict[str, Callable[[], Profile]] = {
     "asymmetric": trials.asymmetric,
     "finals": finals.finals,
     "finals-slow": finals.finals_slow,
+    "finals-fast": finals.finals_fast,
     "blackouts": field_links.blackouts,
     "blackouts-hold": field_links.blackouts_hold,
     "satellite": field_links.satellite,
@@ -72,14 +73,15 @@ def named_profiles() -> tuple[Profile, ...]:
 
 
 def profile_named(name: str) -> Profile:
-    """A profile by name: one of the table, "constant-100k-500ms" and so on, or "finals-<seed>".
+    """A profile by name: one of the table, "constant-100k-500ms" and so on, "finals-<seed>"
+    or "finals-fast-<seed>".
 
     Raises ProfileError, which lists what exists.
     """
     if name in _NAMED:
         return _NAMED[name]()
     if match := _FINALS.fullmatch(name):
-        return finals.finals(int(match[1]))
+        return (finals.finals_fast if match[1] else finals.finals)(int(match[2]))
     if match := _CONSTANT.fullmatch(name):
         rate, unit, delay_ms, loss_percent, jitter_ms, buffer_ms = match.groups()
         return constant(

@@ -23,6 +23,7 @@ from shaper.carousel_wire import (
 )
 from shaper.frames import IP_UDP_BYTES
 from shaper.key_expression import matches
+from shaper.ledger import SentLedger
 from shaper.pacer import NS_PER_S, Pacer
 
 _CREDIT_NS = 4_000_000  # what a late timer may catch up; the Finals' fast queue held 10 ms
@@ -63,28 +64,24 @@ class CarouselSettings:
 
 @dataclass(slots=True)
 class CarouselCounters:
-    """What became of messages that were to go round."""
+    """What went round. Of messages the ledgers tell."""
 
-    offered: int = 0
-    decimated: int = 0
-    too_large: int = 0  # more than may be held, or than has numbers for its chunks
-    superseded: int = 0  # by a newer one of the key
-    expired: int = 0
-    crowded_out: int = 0  # by newer ones: the link carries no more
-    rounds: int = 0  # of all that was held
-    sent_datagrams: int = 0
-    sent_wire_bytes: int = 0
+    carousel_rounds: int = 0
+    carousel_datagrams: int = 0
+    carousel_wire_bytes: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Held:
-    """A message that goes round."""
+    """A message that goes round. left: whole, at least once."""
 
     key: str
     latest: bool
     blob: bytes
     wire_bytes: int
     until_ns: int
+    ledger: SentLedger
+    left: bool = False
 
 
 @dataclass(slots=True)
@@ -96,14 +93,13 @@ class _Turn:
 
 
 class Carousel:
-    """What goes round. epoch: of this life of the sender. protection_bytes: what sealing adds."""
+    """What goes round. life: random, new at each start. protection_bytes: what sealing adds."""
 
-    def __init__(
-        self, settings: CarouselSettings, epoch: int, now_ns: int, protection_bytes: int = 0
-    ) -> None:
+    def __init__(self, settings: CarouselSettings, life: int, now_ns: int, protection_bytes: int = 0) -> None:
         self.counters = CarouselCounters()
+        self.ledgers: dict[str, SentLedger] = {}
         self._settings = settings
-        self._epoch = epoch
+        self._life = life
         self._chunk_bytes = settings.max_datagram_bytes - CLEAR.size - protection_bytes - CHUNK_OVERHEAD_BYTES
         self._outer_bytes = settings.max_datagram_bytes - self._chunk_bytes + IP_UDP_BYTES
         credit_bytes = settings.rate_bps * _CREDIT_NS // (8 * NS_PER_S)
@@ -121,6 +117,22 @@ class Carousel:
         """What goes round, on the wire."""
         return self._held_bytes
 
+    @property
+    def rate_bps(self) -> int:
+        """On the wire."""
+        return self._settings.rate_bps
+
+    @property
+    def topics(self) -> tuple[CarouselTopic, ...]:
+        """What goes round."""
+        return self._settings.topics
+
+    def missed(self, key: str, count: int) -> None:
+        """Count offers that newer ones replaced before they came to be made."""
+        ledger = self.ledgers.setdefault(key, SentLedger())
+        ledger.offered += count
+        ledger.superseded += count
+
     def topic_of(self, key: str) -> CarouselTopic | None:
         """The topic that a key belongs to: the first that matches."""
         return next((t for t in self._settings.topics if matches(t.key_expression, key)), None)
@@ -135,9 +147,10 @@ class Carousel:
         topic = self.topic_of(key)
         if topic is None:
             return False
-        self.counters.offered += 1
+        ledger = self.ledgers.setdefault(key, SentLedger())
+        ledger.offered += 1
         if topic.min_period_ns and now_ns - self._accepted_ns.get(key, -_NEVER_NS) < topic.min_period_ns:
-            self.counters.decimated += 1
+            ledger.decimated += 1
             return False
         ttl_ms = topic.ttl_ns // _NS_PER_MS
         message = CarouselMessage(
@@ -147,12 +160,12 @@ class Carousel:
         chunks = -(-len(blob) // self._chunk_bytes)
         wire_bytes = len(blob) + chunks * self._outer_bytes
         if chunks > MOST_CHUNKS or wire_bytes > self._settings.held_bytes:
-            self.counters.too_large += 1
+            ledger.refused += 1
             return False
         if topic.min_period_ns:
             self._accepted_ns[key] = now_ns
         until_ns = capture_ns + topic.ttl_ns if topic.ttl_ns else _NEVER_NS
-        self._hold(_Held(key, topic.latest, blob, wire_bytes, until_ns))
+        self._hold(_Held(key, topic.latest, blob, wire_bytes, until_ns, ledger))
         return True
 
     def next_datagram(self, now_ns: int) -> bytes | None:
@@ -166,7 +179,7 @@ class Carousel:
                 self._turns.pop()
                 if held is not None:
                     self._drop(turn.message)
-                    self.counters.expired += 1
+                    held.ledger.expired += not held.left
                 continue
             return self._chunk(turn, held, now_ns)
         return None
@@ -184,26 +197,26 @@ class Carousel:
         assert message < MOST_MESSAGES, "a carousel has gone round with four thousand million messages"
         if held.latest:
             before = self._newest.get(held.key)
-            if before is not None and before in self._held:
-                self._drop(before)
-                self.counters.superseded += 1
+            if before is not None:
+                held.ledger.superseded += not self._drop(before).left
             self._newest[held.key] = message
         while self._held and (
             self._held_bytes + held.wire_bytes > self._settings.held_bytes or len(self._held) >= _MOST_HELD
         ):
-            self._drop(next(iter(self._held)))
-            self.counters.crowded_out += 1
+            oldest = self._drop(next(iter(self._held)))
+            oldest.ledger.overflow += not oldest.left
         self._held[message] = held
         self._held_bytes += held.wire_bytes
         self._turns.append(_Turn(message))
         if len(self._turns) > 2 * len(self._held) + 16:  # mostly of messages that are not held any more
             self._turns = [turn for turn in self._turns if turn.message in self._held]
 
-    def _drop(self, message: int) -> None:
+    def _drop(self, message: int) -> _Held:
         held = self._held.pop(message)
         self._held_bytes -= held.wire_bytes
         if self._newest.get(held.key) == message:
             del self._newest[held.key]
+        return held
 
     def _begin_round(self, now_ns: int) -> bool:
         """Whether there is a round to begin now."""
@@ -211,19 +224,23 @@ class Carousel:
             return False
         self._round_at_ns = now_ns + self._settings.repeat_ns
         self._turns = [_Turn(message) for message in self._held]  # the newest is the last, and sent first
-        self.counters.rounds += 1
+        self.counters.carousel_rounds += 1
         return True
 
     def _chunk(self, turn: _Turn, held: _Held, now_ns: int) -> bytes:
         count = -(-len(held.blob) // self._chunk_bytes)
         begin = turn.next_chunk * self._chunk_bytes
         data = held.blob[begin : begin + self._chunk_bytes]
-        body = encode_chunk(Chunk(self._epoch, turn.message, turn.next_chunk, count, data))
+        body = encode_chunk(Chunk(self._life, turn.message, turn.next_chunk, count, data))
         turn.next_chunk += 1
+        held.ledger.sent_bytes += 0 if held.left else len(data)
+        held.ledger.repeated_bytes += len(data) if held.left else 0
         if turn.next_chunk == count:
             self._turns.pop()
+            held.ledger.sent += not held.left
+            held.left = True
         wire_bytes = len(data) + self._outer_bytes
         self._pacer.on_sent(wire_bytes, now_ns)
-        self.counters.sent_datagrams += 1
-        self.counters.sent_wire_bytes += wire_bytes
+        self.counters.carousel_datagrams += 1
+        self.counters.carousel_wire_bytes += wire_bytes
         return body

@@ -11,6 +11,7 @@ from shaper.errors import DecodeError
 from shaper.events import FOREVER_NS, Delivered
 from shaper.incoming import Limits
 from shaper.key_expression import is_key, matches
+from shaper.ledger import ReceivedLedger
 
 _REMEMBERED = 65_536  # messages behind the newest that are known to be done with, or too old
 _FORMER_LIVES = 8
@@ -25,14 +26,11 @@ AgeOf = Callable[[int, int], int | None]
 class ReceiverCounters:
     """What became of what came."""
 
-    received_datagrams: int = 0
-    malformed: int = 0
-    repeated: int = 0  # parts that were here already: the price of having no way back
-    delivered: int = 0
-    superseded: int = 0  # whole, but a newer one of its key was here before
-    expired: int = 0
-    refused: int = 0  # of keys that are not accepted
-    given_up: int = 0  # unfinished ones that made room for newer ones
+    carousel_received_datagrams: int = 0
+    carousel_malformed: int = 0
+    carousel_repeated: int = 0  # parts that were here already: the price of having no way back
+    carousel_refused: int = 0  # of keys that are not accepted
+    carousel_given_up: int = 0  # unfinished ones that made room for newer ones
 
 
 @dataclass(slots=True)
@@ -43,10 +41,16 @@ class _Unfinished:
 
 
 class CarouselReceiver:
-    """Puts messages together. accept: key expressions; limits: what a peer may make us hold."""
+    """Puts messages together.
 
-    def __init__(self, limits: Limits, accept: tuple[str, ...], age_of: AgeOf) -> None:
+    accept: key expressions; limits: what a peer may make us hold; ledgers: of what is delivered, by key.
+    """
+
+    def __init__(
+        self, limits: Limits, accept: tuple[str, ...], ledgers: dict[str, ReceivedLedger], age_of: AgeOf
+    ) -> None:
         self.counters = ReceiverCounters()
+        self._ledgers = ledgers
         self._limits = limits
         self._accept = accept
         self._age_of = age_of
@@ -60,18 +64,18 @@ class CarouselReceiver:
 
     def receive(self, body: bytes, now_ns: int) -> Delivered | None:
         """Take an opened datagram; the message that is whole with it. What is malformed is counted."""
-        self.counters.received_datagrams += 1
+        self.counters.carousel_received_datagrams += 1
         try:
             chunk = decode_chunk(body)
             blob = self._add(chunk)
             return None if blob is None else self._deliver(decode_message(blob), chunk.message, now_ns)
         except DecodeError:
-            self.counters.malformed += 1
+            self.counters.carousel_malformed += 1
             return None
 
-    def _begin(self, epoch: int) -> None:
+    def _begin(self, life: int) -> None:
         """Another life of the sender: it counts its messages from the start."""
-        self._epoch = epoch
+        self._life = life
         self._unfinished: dict[int, _Unfinished] = {}
         self._held_bytes = 0
         self._done: set[int] = set()
@@ -80,15 +84,15 @@ class CarouselReceiver:
 
     def _add(self, chunk: Chunk) -> bytes | None:
         """A message that this part makes whole."""
-        if chunk.epoch != self._epoch:
-            if chunk.epoch in self._former:
-                self.counters.repeated += 1
+        if chunk.life != self._life:
+            if chunk.life in self._former:
+                self.counters.carousel_repeated += 1
                 return None
-            self._former.append(self._epoch)
-            self._begin(chunk.epoch)
+            self._former.append(self._life)
+            self._begin(chunk.life)
         number = chunk.message
         if number < self._floor or number in self._done:
-            self.counters.repeated += 1
+            self.counters.carousel_repeated += 1
             return None
         unfinished = self._unfinished.get(number)
         if unfinished is None:
@@ -96,7 +100,7 @@ class CarouselReceiver:
         if chunk.count != unfinished.count:
             raise DecodeError(f"message {number} has {unfinished.count} chunks, not {chunk.count}")
         if chunk.index in unfinished.chunks:
-            self.counters.repeated += 1
+            self.counters.carousel_repeated += 1
             return None
         unfinished.chunks[chunk.index] = chunk.data
         cost_bytes = len(chunk.data) + _CHUNK_COST_BYTES
@@ -120,7 +124,7 @@ class CarouselReceiver:
             or len(self._unfinished) > limits.max_unfinished_messages
         ):
             self._forget(min(self._unfinished))  # the oldest: newest first
-            self.counters.given_up += 1
+            self.counters.carousel_given_up += 1
 
     def _forget(self, number: int) -> None:
         self._held_bytes -= self._unfinished.pop(number).cost_bytes
@@ -136,19 +140,22 @@ class CarouselReceiver:
     def _deliver(self, message: CarouselMessage, number: int, now_ns: int) -> Delivered | None:
         key = message.key
         if not is_key(key) or not any(matches(expression, key) for expression in self._accept):
-            self.counters.refused += 1
+            self.counters.carousel_refused += 1
             return None
+        ledger = self._ledgers.get(key, ReceivedLedger())
+        if len(self._ledgers) < self._limits.max_topics:
+            self._ledgers[key] = ledger
         age_ns, ttl_ns = self._age_of(message.capture_us, now_ns), message.ttl_ms * _NS_PER_MS
         if ttl_ns and age_ns is not None and age_ns > ttl_ns:
-            self.counters.expired += 1
+            ledger.expired += 1
             return None
         if message.latest:
             if number < self._newest.get(key, -1):
-                self.counters.superseded += 1
+                ledger.stale += 1
                 return None
             if key in self._newest or len(self._newest) < self._limits.max_topics:
                 self._newest[key] = number
-        self.counters.delivered += 1
+        ledger.on_delivered(len(message.payload), age_ns)
         left_ns = ttl_ns - (age_ns or 0) if ttl_ns else FOREVER_NS
         return Delivered(
             key, message.payload, message.encoding, number, message.capture_unix_ns, None, age_ns, left_ns

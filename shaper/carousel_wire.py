@@ -1,6 +1,6 @@
 """The carousel's bytes: what one datagram holds, and what a message says of itself.
 
-    datagram   0x06 · session 2 · number 5 · sealed [epoch 2 · message 4 · chunk 2 · chunks 2 · bytes] · tag 8
+    datagram   0x06 · session 2 · number 5 · sealed [life 4 · message 4 · chunk 2 · chunks 2 · bytes] · tag 8
     message    flags 1 · capture stamp 4 · capture, Unix ns 8 · time to live in ms 4 · key and encoding, each
                as size 2 and UTF-8 · payload
 
@@ -21,20 +21,21 @@ NUMBER_BITS = 40
 MOST_CHUNKS = 0xFFFF
 MOST_MESSAGES = 1 << 32
 
-_CHUNK = struct.Struct("<HIHH")
+_CHUNK = struct.Struct("<IIHH")
 _HEAD = struct.Struct("<BIqI")
 _SIZE = struct.Struct("<H")
 _LATEST = 0x01
 _LATEST_UNIX_NS = 1 << 62  # the year 2116
 
+LIFE_BITS = 32
 CHUNK_OVERHEAD_BYTES = _CHUNK.size
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A part of a message. message: counts from 0 in the life of the sender whose epoch it is."""
+    """A part of a message. life: of its sender, random; message: counts from 0 in each life."""
 
-    epoch: int
+    life: int
     message: int
     index: int
     count: int
@@ -69,17 +70,17 @@ def decode_clear(data: bytes) -> tuple[int, int]:
 
 def encode_chunk(chunk: Chunk) -> bytes:
     """A part of a message, before it is sealed."""
-    return _CHUNK.pack(chunk.epoch, chunk.message, chunk.index, chunk.count) + chunk.data
+    return _CHUNK.pack(chunk.life, chunk.message, chunk.index, chunk.count) + chunk.data
 
 
 def decode_chunk(body: bytes) -> Chunk:
     """Undo `encode_chunk`. Raises DecodeError."""
     if len(body) <= _CHUNK.size:
         raise DecodeError(f"a carousel's datagram of {len(body)} bytes has no part of a message")
-    epoch, message, index, count = _CHUNK.unpack_from(body)
+    life, message, index, count = _CHUNK.unpack_from(body)
     if index >= count:
         raise DecodeError(f"chunk {index} of {count} cannot be")
-    return Chunk(epoch, message, index, count, body[_CHUNK.size :])
+    return Chunk(life, message, index, count, body[_CHUNK.size :])
 
 
 def encode_message(message: CarouselMessage) -> bytes:

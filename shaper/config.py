@@ -12,15 +12,15 @@ from typing import Any, Literal
 from pydantic import ValidationError
 
 from messages.payload import StreamEncoding, TopicEncoding
+from shaper.address import is_loopback, parse_address
 from shaper.bus import BusSettings
+from shaper.carousel_config import CarouselConfig, carousel_config
 from shaper.config_tables import (
     ClassTable,
     LinkTable,
     ShaperTable,
     TopicTable,
     describe_validation_error,
-    is_loopback,
-    parse_address,
 )
 from shaper.encodings import build_encoding
 from shaper.endpoint_settings import EndpointSettings
@@ -43,6 +43,7 @@ class ShaperConfig:
     listen, peer: UDP (host, port) of this side and of the other. metrics: where Prometheus may ask.
     key_files: of link keys, the first to start with. open_link: no keys are wanted, loopback only.
     journal: where reliable messages are on record; None for nowhere. operator_lost: robot's side only.
+    carousel: a second link without a way back.
     resolved: the configuration with all defaults filled in, to be saved beside a result.
     """
 
@@ -59,6 +60,7 @@ class ShaperConfig:
     open_link: bool = False
     journal: Path | None = None
     operator_lost: OperatorLostSettings | None = None
+    carousel: CarouselConfig | None = None
     resolved: dict[str, Any] = field(default_factory=dict)
 
 
@@ -134,15 +136,18 @@ def _check_topic(
         )
 
 
-def _check_protection(link: LinkTable, path: Path) -> None:
+def _check_protection(link: LinkTable, carousel: CarouselConfig | None, path: Path) -> None:
     if not link.open:
         return
     if link.keys:
         raise ConfigError(f"{path}: link.open = true: expected no link.keys beside it")
-    for name, address in (("listen", link.listen), ("peer", link.peer)):
-        if not is_loopback(parse_address(address)[0]):
+    addresses = {"link.listen": parse_address(link.listen), "link.peer": parse_address(link.peer)}
+    if carousel is not None:
+        addresses["carousel.listen" if link.side == "operator" else "carousel.peer"] = carousel.address
+    for name, (host, port) in addresses.items():
+        if not is_loopback(host):
             raise ConfigError(
-                f"{path}: link.open = true with link.{name} = {address!r}: an open link is for loopback "
+                f"{path}: link.open = true with {name} = '{host}:{port}': an open link is for loopback "
                 "only; make a key with `straitlink keygen` and name it in link.keys"
             )
 
@@ -218,7 +223,8 @@ def _from_table(table: ShaperTable, path: Path) -> ShaperConfig:
     endpoint = _endpoint_settings(table, path)
     if table.operator_lost is not None and link.side != "robot":
         raise ConfigError(f"{path}: operator_lost: expected on the robot's side only, not the operator's")
-    _check_protection(link, path)
+    carousel = None if table.carousel is None else carousel_config(table.carousel, link.side, str(path))
+    _check_protection(link, carousel, path)
     if link.estimator == "presets" and not link.bands:
         raise ConfigError(f'{path}: link.estimator = "presets": expected at least one [[link.bands]]')
     return ShaperConfig(
@@ -236,6 +242,7 @@ def _from_table(table: ShaperTable, path: Path) -> ShaperConfig:
         key_files=tuple(path.parent / name for name in link.keys),
         open_link=link.open,
         journal=_journal(link, path),
+        carousel=carousel,
         operator_lost=None if table.operator_lost is None else table.operator_lost.to_settings(),
         resolved=table.model_dump(mode="json", by_alias=True),
     )

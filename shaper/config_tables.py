@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from shaper.address import parse_address
+from shaper.carousel_config import CarouselTable, CarouselTopicTable
 from shaper.encodings import EncodingTable
 from shaper.incoming import Limits
 from shaper.key_expression import check_key_expression, is_key
@@ -192,26 +193,7 @@ class ShaperTable(_Table):
     topics: Annotated[list[TopicTable], Field(min_length=1)]
     limits: LimitsTable = LimitsTable()
     encodings: dict[str, EncodingTable] = {}
-
-
-def parse_address(text: str) -> tuple[str, int]:
-    """ "host:port" as (host, port). Raises ValueError with what was expected."""
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not (port.isascii() and port.isdigit()) or not 0 < int(port) < 65_536:
-        raise ValueError(
-            f"expected host:port with a port of 1 to 65535, such as 127.0.0.1:9001, not {text!r}"
-        )
-    return host.strip("[]"), int(port)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address never leaves this host."""
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False
+    carousel: CarouselTable | None = None
 
 
 def describe_validation_error(
@@ -244,10 +226,10 @@ def _known_keys(
     loc: tuple[int | str, ...], root: type[BaseModel], tables: Mapping[str, type[BaseModel]]
 ) -> str:
     """What may stand at a place, found by walking the tables down to it."""
-    table = root
+    table, within = root, ""
     for part in loc[:-1]:
         if table not in (ClassTable, EncodingTable) and not isinstance(part, int):
-            table = tables.get(part, table)
+            table, within = tables.get(f"{within}.{part}", tables.get(part, table)), part
     return ", ".join(f.alias or name for name, f in table.model_fields.items())
 
 
@@ -263,6 +245,8 @@ TABLES: dict[str, type[BaseModel]] = {
     "metrics": MetricsTable,
     "operator_lost": OperatorLostTable,
     "encodings": EncodingTable,
+    "carousel": CarouselTable,
+    "carousel.topics": CarouselTopicTable,
 }
 
 

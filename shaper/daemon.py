@@ -15,6 +15,7 @@ from pathlib import Path
 
 from messages.attachment import Stamp, decode_stamp
 from shaper.bus import BusError, BusInlet, BusOutlet, Session, open_bus
+from shaper.carousel_udp import CarouselLink
 from shaper.config import ShaperConfig
 from shaper.doorstep import Doorstep
 from shaper.endpoint import Endpoint
@@ -90,6 +91,8 @@ class Daemon:
             outlet = self._outlet = BusOutlet(session)
             self._listeners_until_s = time.monotonic() + _LISTENERS_S
             stack.callback(outlet.close)
+            stack.callback(self._carousel.close)
+            await self._carousel.open(self._config.carousel)
             if self._config.metrics is not None:
                 from shaper.metrics import MetricsServer  # takes a while to load, and few want it
 
@@ -119,12 +122,14 @@ class Daemon:
         watch = None if lost is None else OperatorWatch(lost, now_ns)
         self._link = LinkEnd(self.endpoint, door.channel, watch, door.tables)
         self._seen_ns = now_ns
+        self._carousel = CarouselLink(config, self._link, self._handle)
 
     def _open_inlet(self, session: Session) -> BusInlet:
         def wake() -> None:
             self._loop.call_soon_threadsafe(self._gather_samples)
 
         expressions = [rule.key_expression for rule in self._config.endpoint.rules if not rule.pull]
+        expressions = self._carousel.key_expressions + expressions
         return BusInlet(session, expressions, self._is_latest, wake, time.monotonic_ns)
 
     def _stop_timer(self) -> None:
@@ -161,6 +166,8 @@ class Daemon:
         for sample in self._inlet.take():
             stamp = decode_stamp(sample.attachment) if sample.attachment else None
             capture_ns = _capture_ns(stamp, sample.received_ns, unix_minus_monotonic_ns)
+            if self._carousel.offer(sample, capture_ns, unix_minus_monotonic_ns):
+                continue
             tag = 0 if stamp is None else stamp.capture_ns << 32 | stamp.sequence
             more |= self.endpoint.offer(sample.key, sample.payload, capture_ns, now_ns, sample.encoding, tag)
             if sample.missed:
@@ -318,8 +325,8 @@ class Daemon:
             now_ns = time.monotonic_ns()
             self._link.set_wall_clock(time.time_ns(), now_ns)
             self._say_whether_the_peer_is_heard(now_ns)
-            record = ledger_record(self.endpoint, self._sends, now_ns)
-            record["datagrams"] = self._link.counters_dict()  # the channel's too
+            record = ledger_record(self.endpoint, self._sends, now_ns, self._carousel.sent_ledgers)
+            record["datagrams"] = {**self._link.counters_dict(), **self._carousel.counters_dict()}
             self._tell("ledger", record)
             self._tell_link(self.endpoint.link_state())
             for key, (budget_bytes, period_ns) in self.endpoint.demands(now_ns).items():
@@ -353,13 +360,16 @@ class Daemon:
 
     def _is_latest(self, key: str) -> bool:
         """Whether only the newest sample of a key counts."""
-        rule = first_match(self._config.endpoint.rules, key)
+        goes_round, rule = self._carousel.is_latest(key), first_match(self._config.endpoint.rules, key)
+        if goes_round is not None:
+            return goes_round
         return rule is not None and rule.traffic_class.keep is Keep.LATEST
 
     def _finish_trace(self) -> None:
         self._bins.flush()
         if self._trace is not None:
-            self._trace.write(ledger_record(self.endpoint, self._sends, time.monotonic_ns()))
+            now_ns = time.monotonic_ns()
+            self._trace.write(ledger_record(self.endpoint, self._sends, now_ns, self._carousel.sent_ledgers))
 
 
 def _make_estimator(config: ShaperConfig, now_ns: int) -> LinkEstimator:

@@ -16,6 +16,7 @@ from shaper.events import (
     Receipt,
     Wanted,
 )
+from shaper.ledger import SentLedger
 from shaper.notices import Notice
 from shaper.operator_lost import OperatorBack, OperatorLost
 
@@ -93,11 +94,16 @@ def receiving_record(told: PeerEstimate) -> Record:
     }
 
 
-def ledger_record(endpoint: Endpoint, sends: Direction, t_ns: int) -> Record:
-    """All counters since the start. sends: the direction of this side's own topics."""
+def ledger_record(
+    endpoint: Endpoint, sends: Direction, t_ns: int, carousel: Mapping[str, SentLedger] | None = None
+) -> Record:
+    """All counters since the start. sends: the direction of this side's own topics.
+
+    carousel: counters of those that leave by a link without a way back.
+    """
     receives = "up" if sends == "down" else "down"
     topics: dict[str, Mapping[str, object]] = {}
-    for key, sent in endpoint.sent_ledgers().items():
+    for key, sent in {**endpoint.sent_ledgers(), **(carousel or {})}.items():
         topics[key] = {"direction": sends, **sent.as_dict(), "queued": sent.queued}
     for key, received in endpoint.received_ledgers.items():
         topics[key] = {"direction": receives, **received.as_dict()}

@@ -19,19 +19,24 @@ app = typer.Typer()
 def mission(
     profile: Annotated[str, typer.Option(help="Name of a link profile, or a TOML file.")] = "trials",
     load: Annotated[
-        str, typer.Option(help="light, full, camera-flood, backlogged, or a TOML file.")
+        str, typer.Option(help="light, full, camera-flood, backlogged, finals, or a TOML file.")
     ] = "light",
     minutes: Annotated[float, typer.Option(min=0.01, max=100_000, help="Virtual time.")] = 30.0,
     seed: Annotated[int, typer.Option(help="Same seed, same result to the byte.")] = 1,
     estimator: Annotated[
         Literal["presets", "adaptive"], typer.Option(help="What the link shows, or the profile's bands.")
     ] = "adaptive",
+    fast: Annotated[
+        str | None, typer.Option(help="Profile of a second link, one way, with a carousel: finals-fast.")
+    ] = None,
+    fast_rate: Annotated[int, typer.Option(help="Its rate, bit/s; 95 % of its best band unless given.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for what `straitlink report` reads.")] = None,
 ) -> None:
     """Run both shapers, the link and the traffic in virtual time, without waiting."""
     from netem_scripts.profiles import load_profile
     from straitlink.mission import MissionSettings, load_named_or_file
+    from straitlink.mission.carousel import CarouselPlan
     from straitlink.mission.mission import adaptive, presets
     from straitlink.mission.output import print_result, run_and_save
 
@@ -41,6 +46,7 @@ def mission(
         round(minutes * 60e9),
         seed,
         estimator=adaptive if estimator == "adaptive" else presets,
+        carousel=None if fast is None else CarouselPlan(load_profile(fast), fast_rate),
     )
     started_s = time.perf_counter()
     with progress_bar(f"mission {profile}", hidden=as_json) as on_progress:

@@ -19,11 +19,12 @@ from straitlink.mission.named_loads import NAMED_LOADS
 
 _NS_PER_S = 1_000_000_000
 LOCAL_ONLY = "none"  # class of a topic that is published but that no rule sends
+CAROUSEL = "carousel"  # of one that crosses by the mission's second link, if it has one
 
 
 @dataclass(frozen=True, slots=True)
 class LoadTopic:
-    """One periodic source. traffic_class: None for a topic that stays on its own bus."""
+    """One periodic source. traffic_class: None for a topic that stays on its own bus, or goes_round."""
 
     key: str
     direction: Literal["down", "up"]
@@ -31,6 +32,7 @@ class LoadTopic:
     rate_hz: float
     traffic_class: TrafficClass | None
     max_hz: float | None = None
+    goes_round: bool = False
 
     @property
     def is_reliable(self) -> bool:
@@ -115,11 +117,22 @@ def _load(name: str, rows: Sequence[_TopicTable], classes: dict[str, TrafficClas
             raise ConfigError(f"{field}.name = {row.key!r}: {reason}")
         if any(topic.key == row.key for topic in topics):
             raise ConfigError(f"{field}.name = {row.key!r} stands twice in the load")
-        if row.traffic_class != LOCAL_ONLY and row.traffic_class not in classes:
-            known = ", ".join((*classes, LOCAL_ONLY))
+        goes_round = row.traffic_class == CAROUSEL
+        if goes_round and row.direction != "down":
+            raise ConfigError(f"{field}.class = {CAROUSEL!r}: expected direction down: nothing goes back")
+        if row.traffic_class not in (LOCAL_ONLY, CAROUSEL) and row.traffic_class not in classes:
+            known = ", ".join((*classes, LOCAL_ONLY, CAROUSEL))
             raise ConfigError(f"{field}.class = {row.traffic_class!r}: expected one of {known}")
         traffic_class = classes.get(row.traffic_class)
         topics.append(
-            LoadTopic(row.key, row.direction, row.payload_bytes, row.rate_hz, traffic_class, row.max_hz)
+            LoadTopic(
+                row.key,
+                row.direction,
+                row.payload_bytes,
+                row.rate_hz,
+                traffic_class,
+                row.max_hz,
+                goes_round,
+            )
         )
     return Load(name, tuple(topics))

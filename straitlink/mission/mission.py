@@ -13,6 +13,7 @@ from netem_scripts.band import Band, DirectionProfile, Profile
 from netem_scripts.event_loop import EventLoop
 from netem_scripts.link import Link
 from netem_scripts.records import BandRecord, PacketRecord, StartRecord, event_of
+from shaper.carousel_wire import LIFE_BITS
 from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
 from shaper.estimation.adaptive import AdaptiveEstimator
@@ -32,6 +33,7 @@ from shaper.trace_records import (
     ledger_record,
     start_record,
 )
+from straitlink.mission.carousel import CarouselPlan, MissionCarousel
 from straitlink.mission.clock import HostClock
 from straitlink.mission.load import Load, LoadTopic
 from straitlink.mission.outcome import QueueSampler, TopicOutcome, percentiles_ms, settled_mask, topic_row
@@ -62,6 +64,7 @@ class MissionSettings:
 
     estimator: makes each side's. max_drift_ppm: each host's clock drifts by up to so much.
     synchronised: both hosts' clocks show true time, which only a control of the bench needs.
+    carousel: a second link without a way back, for the load's topics that go round.
     """
 
     profile: Profile
@@ -72,6 +75,7 @@ class MissionSettings:
     estimator: EstimatorFactory = adaptive
     max_drift_ppm: int = 50
     synchronised: bool = False
+    carousel: CarouselPlan | None = None
 
 
 class _Host:
@@ -174,6 +178,20 @@ class _Mission:
         self.robot.peer, self.operator.peer = self.operator, self.robot
         self.topics = {t.key: TopicOutcome(t.direction) for t in settings.load.topics}
         self._rng = rng
+        self._carousel: MissionCarousel | None = None
+        if settings.carousel is not None:
+            fast_rng = random.Random(f"carousel {settings.seed}")  # its own: the thin link's is not disturbed
+            self._carousel = MissionCarousel(
+                settings.carousel,
+                settings.load,
+                self.loop,
+                self.robot,
+                self.operator,
+                fast_rng.getrandbits(LIFE_BITS),
+                fast_rng,
+                self._digest.update,
+                lambda delivered: self.on_event(self.operator, delivered),
+            )
 
     def run(self, on_progress: Callable[[float], None] | None) -> dict[str, Any]:
         self._start_traces()
@@ -192,6 +210,8 @@ class _Mission:
         result: dict[str, Any] = {
             "link": {h.sends: self._link_result(h) for h in (self.robot, self.operator)}
         }
+        if self._carousel is not None:
+            result["carousel"] = self._carousel.result(end_ns)
         self._drain()
         self._finish_traces()
         result["topics"] = self._topic_results()
@@ -247,7 +267,10 @@ class _Mission:
             next_ns = int(phase_ns + count * period_ns)
             if next_ns < end_ns:
                 loop.call_at(next_ns, publish)
-            host.offer(topic.key, payload)
+            if not topic.goes_round:
+                host.offer(topic.key, payload)
+            elif self._carousel is not None:
+                self._carousel.offer(topic.key, payload)
 
         if int(phase_ns) < end_ns:
             loop.call_at(int(phase_ns), publish)
@@ -289,6 +312,7 @@ class _Mission:
 
     def _topic_results(self) -> dict[str, Any]:
         sent = {**self.robot.endpoint.sent_ledgers(), **self.operator.endpoint.sent_ledgers()}
+        sent.update(self._carousel.sender.ledgers if self._carousel is not None else {})
         rows = {}
         reliable = {t.key for t in self.settings.load.topics if t.is_reliable}
         for key, outcome in self.topics.items():
@@ -324,13 +348,22 @@ class _Mission:
 
     def _trace_ledgers(self, when_ns: int) -> None:
         for host in (self.robot, self.operator):
-            self.trace(host.side, ledger_record(host.endpoint, host.sends, when_ns))
+            self.trace(host.side, self._ledgers(host, when_ns))
         self._schedule_ledgers(when_ns + LEDGER_INTERVAL_NS)
+
+    def _ledgers(self, host: _Host, when_ns: int) -> Record:
+        goes_round = self._carousel is not None and host is self.robot
+        return ledger_record(
+            host.endpoint,
+            host.sends,
+            when_ns,
+            self._carousel.sender.ledgers if goes_round and self._carousel is not None else None,
+        )
 
     def _finish_traces(self) -> None:
         for host in (self.robot, self.operator):
             host.bins.flush()
-            self.trace(host.side, ledger_record(host.endpoint, host.sends, self.loop.now_ns))
+            self.trace(host.side, self._ledgers(host, self.loop.now_ns))
 
 
 def _address(side: Side) -> Address:

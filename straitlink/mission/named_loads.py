@@ -83,9 +83,22 @@ _FULL: list[Row] = [
     *_OPERATOR,
 ]
 
+# The Finals: what must arrive crosses the thin link, what only the windows can carry goes round.
+_FINALS: list[Row] = [
+    _row("robot/heartbeat", "down", 64, 1, "heartbeat"),
+    _row("robot/joint_states", "down", 60, 1, "state"),
+    _row("robot/head_camera/image", "down", 140_425, 20, "carousel"),
+    _row("robot/chest_camera/image", "down", 56_717, 5, "carousel"),
+    _row("robot/lidar/scan", "down", 17_354, 40, "carousel"),
+    _row("robot/joint_states_full", "down", 1129, _CONTROL_HZ, "carousel"),
+    _row("operator/heartbeat", "up", 64, 1, "heartbeat"),
+    _row("operator/footstep_plan", "up", 300, 1 / 12, "command"),
+]
+
 NAMED_LOADS: dict[str, list[Row]] = {
     "light": _LIGHT,
     "full": _FULL,
     "camera-flood": _CAMERA_FLOOD,
     "backlogged": _BACKLOGGED,
+    "finals": _FINALS,
 }

@@ -50,6 +50,13 @@ def print_result(result: dict[str, Any], console: Console) -> None:
     """Two tables: what became of each topic, and how the link was used."""
     console.print(_topics_table(result["topics"]))
     console.print(_link_table(result["link"]))
+    if "carousel" in result:
+        row = result["carousel"]
+        console.print(
+            f"Carousel: {row['rate_bps'] / 1e6:,.1f} Mbit/s, {row['carousel_rounds']:,} rounds, "
+            f"{row['carousel_datagrams']:,} datagrams: {row['carousel_received_datagrams']:,} arrived, "
+            f"{row['carousel_repeated']:,} of them were there already\n"
+        )
     if "wall_s" in result:
         console.print(f"{result['wall_s']:.1f} s of wall time; trace {result['trace_sha256'][:16]}")
 

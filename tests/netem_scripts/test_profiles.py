@@ -183,6 +183,18 @@ def test_the_finals_have_the_blackouts_of_the_example_schedule() -> None:
     assert profile_named("finals-1") == profile_named("finals") != profile_named("finals-2")
 
 
+def test_the_finals_fast_link_has_the_same_windows_and_nothing_comes_back() -> None:
+    profile = profile_named("finals-fast")
+    assert profile_named("finals-fast-1") == profile != profile_named("finals-fast-2")
+    open_s, whole_s = [], 0.0
+    for band in profile.down.bands:
+        open_s += [whole_s] if band.loss_ratio == 0 else []
+        whole_s += band.duration_ns / 1e9
+    assert len(open_s) == 371 and open_s[1] == 1 + blackouts_s(1)[0]
+    back = Link(profile.up, random.Random(1))
+    assert all(not back.transmit(100, t * 10**9).arrivals_ns for t in range(100))
+
+
 def test_the_finals_lose_the_fast_queue_in_the_dark_and_hold_5000_bytes_while_slow() -> None:
     link = Link(profile_named("finals").down, random.Random(1))
     drops = [link.transmit(1458, S - 1).drop for _ in range(300)]

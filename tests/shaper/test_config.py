@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from shaper.address import parse_address
 from shaper.config import load_config
-from shaper.config_tables import parse_address
 from shaper.doorstep import read_keys
 from shaper.errors import ConfigError
 from shaper.incoming import Limits
