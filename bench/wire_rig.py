@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +19,28 @@ from straitlink.demo.configs import KEY_FILE, free_addresses, write_temporary_ke
 DELAY_MS = 50
 BEAT_KEY, COMMAND_KEYS = "robot/heartbeat", {"robot": "robot/done", "operator": "operator/command"}
 
+COMMANDS_AND_BEAT: dict[str, list[dict[str, object]]] = {
+    "robot": [{"key": COMMAND_KEYS["robot"], "class": "command"}, {"key": BEAT_KEY, "class": "heartbeat"}],
+    "operator": [{"key": COMMAND_KEYS["operator"], "class": "command"}],
+}
+
 
 class WireRig:
     """Processes "robot", "operator" and "link" in a folder; leaving the context ends them."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        profile: str = f"constant-1m-{DELAY_MS}ms",
+        topics: Mapping[str, Sequence[Mapping[str, object]]] = COMMANDS_AND_BEAT,
+    ) -> None:
+        """topics: tables of `[[topics]]` by side. No side is told what the link carries."""
         self.folder = folder
+        self._topics = topics
         self.addresses = a = free_addresses()
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         write_temporary_key(folder)
-        link = ["link", "--profile", f"constant-1m-{DELAY_MS}ms"]
+        link = ["link", "--profile", profile]
         link += ["--robot-side", a.link_robot, "--operator-side", a.link_operator]
         link += ["--robot-peer", a.robot_shaper, "--operator-peer", a.operator_shaper]
         self._commands = {"link": link}
@@ -43,14 +55,10 @@ class WireRig:
             self._commands[f"{side}-bus"] = ["bus", "--listen", bus]
 
     def _write_config(self, side: str, listen: str, peer: str, bus: str) -> None:
-        band = {"name": "only", "rate_bps": 1_000_000, "one_way_delay_ms": DELAY_MS}
-        topics = [{"key": COMMAND_KEYS[side], "class": "command"}]
-        if side == "robot":
-            topics.append({"key": BEAT_KEY, "class": "heartbeat"})
         document = {
-            "link": {"side": side, "listen": listen, "peer": peer, "bands": [band], "keys": [KEY_FILE]},
+            "link": {"side": side, "listen": listen, "peer": peer, "keys": [KEY_FILE]},
             "zenoh": {"connect": [bus]},
-            "topics": topics,
+            "topics": [dict(table) for table in self._topics[side]],
         }
         (self.folder / f"{side}.toml").write_text(tomlkit.dumps(document))
 
