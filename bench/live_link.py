@@ -3,8 +3,8 @@
     python -m bench.live_link [--profile trials] [--minutes 6] [--json]
 
 Two shapers over the UDP emulator, both directions always backlogged, as the rows of bench.link_estimation
-are in virtual time; the same judge replays what entered the link. The processor's share is the robot's
-shaper's, the whole process with Zenoh's threads, and what its flood of 1.5 MB/s on the local bus costs.
+are in virtual time, by twice what the fastest band carries; the same judge replays what entered the link.
+The processor's share is the robot's shaper's, the whole process with Zenoh's threads.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -69,7 +69,8 @@ def measure(profile_name: str, minutes: float) -> LiveFigures:
         for name in ("robot-bus", "operator-bus", "robot", "operator", "link"):
             rig.start(name)
         stop = threading.Event()
-        threads = [threading.Thread(target=_publish, args=(rig, topic, stop)) for topic in load.topics]
+        topics = [_enough(topic, profile) for topic in load.topics]
+        threads = [threading.Thread(target=_publish, args=(rig, topic, stop)) for topic in topics]
         for thread in threads:
             thread.start()
         cpu = _watch(rig, minutes * 60)
@@ -77,6 +78,12 @@ def measure(profile_name: str, minutes: float) -> LiveFigures:
         for thread in threads:
             thread.join()
         return _figures(rig, profile, minutes, cpu)
+
+
+def _enough(topic: LoadTopic, profile: Profile) -> LoadTopic:
+    """The same topic at no more than twice what the link ever carries."""
+    most_bps = max(band.rate_bps for way in (profile.down, profile.up) for band in way.bands)
+    return replace(topic, rate_hz=min(topic.rate_hz, max(10.0, 2 * most_bps / (8 * topic.payload_bytes))))
 
 
 def _publish(rig: WireRig, topic: LoadTopic, stop: threading.Event) -> None:
