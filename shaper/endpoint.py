@@ -40,6 +40,7 @@ from shaper.queues import Payload, TopicQueue
 from shaper.settled import Settled
 from shaper.timers import Due, Timers
 
+TOLD_SHARE = 0.02  # a rate that changes by less is told with the next beat
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 
 
@@ -77,7 +78,7 @@ class Endpoint:
         self._lives = PeerLives(self._make_incoming, journal, limits.max_topics)
         self._incoming: Incoming | None = None  # the present life
         self._path = Path()
-        self._told_bps = estimator.rate_bps
+        self._told = False, estimator.rate_bps  # whether it holds, and the rate
         self._events: deque[Event] = deque()
         self._timers = Timers(now_ns)
         self._control = ControlFrames(epoch, self._outgoing, self._timers)
@@ -383,8 +384,11 @@ class Endpoint:
         return min(wire_bytes, self.path_mtu.size_bytes + IP_UDP_BYTES) - self._outer_bytes
 
     def _tell_estimate(self) -> None:
-        if self._estimator.rate_bps != self._told_bps:
-            self._told_bps = self._estimator.rate_bps
+        """At once if it has changed by what matters; each beat tells it anyway."""
+        holds, rate_bps = self._estimator.in_flight_limit_bytes == 0, self._estimator.rate_bps
+        told_holding, told_bps = self._told
+        if holds != told_holding or abs(rate_bps - told_bps) > TOLD_SHARE * told_bps:
+            self._told = holds, rate_bps
             self._events.append(self.link_state())
 
     # Receiving.

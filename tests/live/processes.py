@@ -37,8 +37,10 @@ def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
 class Rig:
     """Two shapers and the link between them, each a process of its own, with free ports."""
 
-    def __init__(self, folder: Path, profile: Profile, load: Load) -> None:
+    def __init__(self, folder: Path, profile: Profile, load: Load, estimator: str = "adaptive") -> None:
+        """estimator: of both shapers; the profile's bands are a hint to it, or all it knows."""
         self.folder = folder
+        self._estimator = estimator
         self.addresses: Addresses = free_addresses()
         self._profile = profile
         self._load = load
@@ -61,7 +63,14 @@ class Rig:
                 row: dict[str, Any] = {"key": topic.key, "class": topic.traffic_class.name}
                 topics.append(row | ({"max_hz": topic.max_hz} if topic.max_hz else {}))
         document = {
-            "link": {"side": side, "listen": listen, "peer": peer, "bands": bands, "keys": [KEY_FILE]},
+            "link": {
+                "side": side,
+                "listen": listen,
+                "peer": peer,
+                "estimator": self._estimator,
+                "bands": bands,
+                "keys": [KEY_FILE],
+            },
             "zenoh": {"listen": [bus]},
             "topics": topics,
         }
