@@ -181,6 +181,7 @@ class Endpoint:
                     now_ns=now_ns,
                     only_always_send=holding,
                     only_emergency=only_emergency,
+                    timed=probe_bytes > 0,
                 ),
             )
             contents += more

@@ -37,7 +37,8 @@ _NS_PER_S = 1_000_000_000
 class Opportunity:
     """A datagram that may leave now.
 
-    limit_bytes: what it should hold at the link's rate; max_bytes: what it may hold at all.
+    limit_bytes: what it should hold at the link's rate; max_bytes: what it may hold at all. timed: it leaves
+    in a train, so that shares that were cut for a faster link wait for the next one.
     """
 
     limit_bytes: int
@@ -47,6 +48,7 @@ class Opportunity:
     now_ns: int
     only_always_send: bool = False
     only_emergency: bool = False
+    timed: bool = False
 
 
 class Outgoing:
@@ -310,7 +312,8 @@ class Outgoing:
         if protected is not None:
             share = protected.shares[protected.sent]
             # A share keeps its size when the link turns thin under it; then it leaves by itself.
-            limit = opportunity.max_bytes if first else opportunity.limit_bytes
+            alone = first and not opportunity.timed
+            limit = opportunity.max_bytes if alone else opportunity.limit_bytes
             if len(out) + overhead + SHARE_OVERHEAD_BYTES + len(share) > limit:
                 return None
             self._append(out, queue, departure, protected.sent, share, opportunity.now_ns)

@@ -364,6 +364,8 @@ class AdaptiveEstimator:
             self._set_rate(rate_bps)
         if self._baseline.on_arrived(arrived, rate_bps, noise_ns, now_ns) or not self._baseline.pausing:
             self._anchor(now_ns)
+        elif self._baseline.delay_ns is None and self._most_queue_ns(rate_bps) < self.pacer.wait_ns(now_ns):
+            self._await_empty(self._most_queue_ns(rate_bps), now_ns)
         if now_ns - self._settled_from_ns > SETTLED_NS:
             self._bands.settle(rate_bps, self._rtts.shortest_ns)
 
@@ -388,21 +390,32 @@ class AdaptiveEstimator:
         self._dispersion.forget()
         first = self._flights.first_since(self._epoch_ns)
         queue_ns = 0 if first is None else self._flights.simulate(rate_bps, first, 0, now_ns)
-        self._set_queue(queue_ns, now_ns)
-        self.pacer.pause(now_ns + queue_ns + self._baseline.pause_ns)
-        self._baseline.restart(self.pacer.not_before_ns)
+        self._await_empty(queue_ns, now_ns)
         self._rtts.forget_all_but_the_newest()
 
     def _resume(self, rate_bps: float, now_ns: int) -> None:
-        """The band is the old one."""
+        """The band is the old one; of a queue whose end was awaited, the wait goes on."""
         self._set_rate(rate_bps)
         newest = self._flights.acked[-1] if self._flights.acked else None
+        if self._baseline.delay_ns is None:
+            self._await_empty(min(self.pacer.wait_ns(now_ns), self._most_queue_ns(rate_bps)), now_ns)
+            return
         queue_ns = 0
-        if newest is not None and self._baseline.delay_ns is not None:
+        if newest is not None:
             wait_ns = max(0, newest.delay_ns(rate_bps) - self._baseline.delay_ns)
             queue_ns = self._flights.simulate(rate_bps, newest, wait_ns, now_ns)
         self._set_queue(queue_ns, now_ns)
         self.pacer.not_before_ns = now_ns
+
+    def _await_empty(self, queue_ns: int, now_ns: int) -> None:
+        """Pause until the link holds nothing, to learn its delay."""
+        self._set_queue(queue_ns, now_ns)
+        self.pacer.pause(now_ns + queue_ns + self._baseline.pause_ns)
+        self._baseline.restart(self.pacer.not_before_ns)
+
+    def _most_queue_ns(self, rate_bps: float) -> int:
+        """What is not reported yet is all that the link can hold; a full buffer has dropped the rest."""
+        return int(self._flights.bits_in_flight() * NS_PER_S / rate_bps)
 
     def _look_for_overdue(self, peer_us: int, now_ns: int) -> None:
         """Hold if the peer has spoken at this time of its clock, and said nothing of what had arrived."""
