@@ -18,6 +18,8 @@ from shaper.estimation.ideas import Ideas
 from shaper.estimation.round_trips import RoundTrips
 from shaper.estimation.silence import HICCUP_NS, Silence
 from shaper.estimation.states import Input, State, follow
+from shaper.estimation.trains import TRAIN_BYTES, TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains, train_bytes
+from shaper.estimation.trickle import TRICKLE_BYTES, trickle_ns, urgent_trickle_ns
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.frames import STAMP_BITS
 from shaper.link_estimator import PresetBand, datagram_wire_bytes
@@ -39,26 +41,8 @@ MOST_AIRTIME_NS = 150 * NS_PER_MS  # ... would take longer than this
 
 REPLIES, REPLY_NS = 3, 40 * NS_PER_MS  # single datagrams between the first trains, to report, so far apart
 RISEN_RATIO = 1.5  # trains this much faster than the old rate are another band's
-TRAIN_DATAGRAMS = 3
-TRAIN_BYTES = 150  # on the wire; small, as the link may be thin now, and large against headers
-TRAIN_AIRTIME_NS = 8 * NS_PER_MS  # of a train's datagram while the rate is known ...
-TRAIN_NOISES = 2.0  # ... and this much per noise of arrivals
-MOST_LONGER, LONGER_NOISE_NS = 5, 1_200_000  # one more per this much noise of arrivals, and so many at most
-TRAIN_INTERVAL_NS = 20 * NS_PER_MS  # at least, from the end of one to the start of the next
-
-START_INTERVAL_NS, MAX_START_INTERVAL_NS = 300 * NS_PER_MS, 3 * NS_PER_S  # while no train was reported
 PATIENCE_NS = 500 * NS_PER_MS  # with promises of the peer that may be of a faster band ...
 FRESH_NS = 1 * NS_PER_S  # ... until so long after a change
-
-DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become quicker is measured by trains
-
-TRICKLE_NS = 100 * NS_PER_MS  # in hold, a datagram at least this often is not needed ...
-TRICKLE_SHARE = 0.02  # ... and at most this share of the rate is taken, as a link may hold the queue
-TRICKLE_BYTES = 72
-TRICKLE_SLOWING = 64  # its interval is at least the silence over this: half a minute held costs 0.2 s
-MAX_TRICKLE_NS = 200 * NS_PER_MS
-URGENT_SLOWING = 8  # and that of heartbeats the silence over this, at most ...
-URGENT_TRICKLES = 4  # ... so many of those
 
 SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
 OVERDUE_NS = 15 * NS_PER_MS  # a report may be this late ...
@@ -99,6 +83,7 @@ class AdaptiveEstimator:
         self._known_bps: float | None = None  # the rate before the link changed, or now in run
         self._centre_bps = 0.0  # where the last change put the rate
         self._flights = Flights()
+        self._sent_bits = 0  # those of the pacer that flights account for
         self._dispersion = Dispersion()
         self._baseline = Baseline(now_ns)
         self._silence = Silence()
@@ -110,14 +95,11 @@ class AdaptiveEstimator:
         self._empty_ns = now_ns  # when the virtual queue runs or ran empty
         self._rtts = RoundTrips()
         self._silent = False  # whether it is the peer's silence for which the link is held
-        self._train_interval_ns = START_INTERVAL_NS
+        self._trains = Trains(now_ns, hinted=bool(bands))
         if bands:  # a hint: trains follow each other at the thinnest band's rate until one is reported
             self.rate_bps = min(band.rate_bps for band in bands)
             self.pacer.set(self.rate_bps, 0, now_ns)
-            self._train_interval_ns = TRAIN_INTERVAL_NS
         self._hinted = bool(bands)
-        self._train_ns = now_ns  # when the newest train left
-        self._doubt_until_ns = now_ns  # until then the link may carry more than is known
 
     # What the endpoint reads.
 
@@ -147,16 +129,18 @@ class AdaptiveEstimator:
         if self._silence.heard_ns < 0:
             return 0
         if self.state is State.RUN:
-            return self._train_bytes(self.rate_bps) if self._probes_left else 0
+            return train_bytes(self.rate_bps, self._noise_ns, self.datagram_bytes) if self._probes_left else 0
         if self.state is State.PROBE:
-            return self._train_bytes(self.pacer.rate_bps)
+            return train_bytes(self.pacer.rate_bps, self._noise_ns, self.datagram_bytes)
         return TRAIN_BYTES if self._probes_left else TRICKLE_BYTES
 
     # What happens.
 
     def on_sent(self, packet: SentPacket, now_ns: int) -> None:
         pacer = self.pacer
-        self._flights.on_sent(packet.number, packet.wire_bytes * 8, pacer.found_ns, now_ns)
+        bits = packet.wire_bytes * 8
+        bits_before, self._sent_bits = pacer.sent_bits - self._sent_bits - bits, pacer.sent_bits
+        self._flights.on_sent(packet.number, bits, pacer.found_ns, now_ns, max(0, bits_before))
         idle_ns = now_ns - self._empty_ns
         wait_ns = pacer.wait_ns(now_ns)
         self._empty_ns = now_ns + wait_ns
@@ -166,12 +150,8 @@ class AdaptiveEstimator:
             self._pace_trains(in_train, now_ns)
         elif self.state is State.HOLD:
             self._pace_trickle(packet.wire_bytes, now_ns)
-        elif self.state is State.RUN and self._ideas.verify and not self._baseline.pausing:
-            if idle_ns >= self._baseline.pause_ns:
-                self._baseline.begin(now_ns, self._apparent_delay_ns())
-            elif now_ns >= self._baseline.due_ns:
-                pacer.pause(self._empty_ns + self._baseline.pause_ns)
-                self._baseline.begin(pacer.not_before_ns, self._apparent_delay_ns())
+        elif self.state is State.RUN and self._ideas.verify:
+            self._verify(idle_ns, now_ns)
 
     def on_report(
         self, settled: Sequence[ReportedPacket], rtt_ns: int | None, loss_ratio: float, now_ns: int
@@ -247,7 +227,7 @@ class AdaptiveEstimator:
             self._resume(self._known_bps, now_ns)
             return
         if self._known_bps is None:
-            self._train_interval_ns = max(TRAIN_INTERVAL_NS, self._rtts.shortest_ns // 2)
+            self._trains.interval_ns = max(TRAIN_INTERVAL_NS, self._rtts.shortest_ns // 2)
         known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
         rate_bps = self._dispersion.of_trains(self._epoch_ns)
         still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
@@ -278,6 +258,10 @@ class AdaptiveEstimator:
     def _silence_ns(self) -> int:
         """When the peer has been silent for too long. After a change its promises are of the former band."""
         deadline_ns = self._silence.deadline_ns
+        if (
+            self.state is State.RUN and self._baseline.delay_ns is None
+        ):  # a queue drains: nothing leaves anyway
+            deadline_ns = max(deadline_ns, self.pacer.not_before_ns)
         fresh = self.state is State.PROBE or deadline_ns < self._settled_from_ns + FRESH_NS
         return deadline_ns + (PATIENCE_NS if fresh else 0)
 
@@ -290,7 +274,7 @@ class AdaptiveEstimator:
             cautious_bps = max(cautious_bps, lowest.rate_bps)
         if self._silent and self._silence.same:  # a blackout, more likely than another band
             cautious_bps = known_bps / SAME_CAUTION
-            self._train_interval_ns = 0
+            self._trains.interval_ns = 0
         first = self._flights.first_since(self._epoch_ns)
         queue_ns = 0 if first is None else self._flights.simulate(cautious_bps, first, 0, now_ns)
         self.pacer.set(_whole(cautious_bps), queue_ns, now_ns)
@@ -303,20 +287,18 @@ class AdaptiveEstimator:
         if not in_train and now_ns >= self.pacer.not_before_ns:
             self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
         elif in_train and self._probes_left == 0:
-            self.pacer.pause(self._empty_ns + self._train_interval_ns)
+            self.pacer.pause(self._empty_ns + self._trains.interval_ns)
             if self._known_bps is None and not self._hinted:  # wait for an answer, ever longer
-                self._train_interval_ns = min(2 * self._train_interval_ns, MAX_START_INTERVAL_NS)
+                self._trains.wait_longer()
 
     def _pace_trickle(self, wire_bytes: int, now_ns: int) -> None:
         """The longer the hold, the less leaves: the link may keep it all, and serve it before what is new."""
         held_ns = now_ns - self._hold_from_ns
-        share_ns = int(TRICKLE_BYTES * 8 * NS_PER_S / (TRICKLE_SHARE * (self._known_bps or START_BPS)))
-        slowed_ns = min(held_ns // TRICKLE_SLOWING, MAX_TRICKLE_NS)
-        trickle_ns = max(TRICKLE_NS, min(share_ns, 10 * MAX_TRICKLE_NS), slowed_ns)
+        rate_bps = self._known_bps or START_BPS
         if not self._probes_left:
-            self.pacer.not_before_ns = now_ns + trickle_ns
+            self.pacer.not_before_ns = now_ns + trickle_ns(held_ns, rate_bps)
         if wire_bytes > TRICKLE_BYTES and self._silent:  # it carried a message
-            self.pacer.urgent_from_ns = now_ns + min(held_ns // URGENT_SLOWING, URGENT_TRICKLES * trickle_ns)
+            self.pacer.urgent_from_ns = now_ns + urgent_trickle_ns(held_ns, rate_bps)
 
     def _hold(self, why: Input, since_ns: int, now_ns: int) -> None:
         """Send no more than a trickle. since_ns: when the link may have changed."""
@@ -368,6 +350,18 @@ class AdaptiveEstimator:
             self._await_empty(self._most_queue_ns(rate_bps), now_ns)
         if now_ns - self._settled_from_ns > SETTLED_NS:
             self._bands.settle(rate_bps, self._rtts.shortest_ns)
+
+    def _verify(self, idle_ns: int, now_ns: int) -> None:
+        """Make pauses, to look at the empty link. idle_ns: since when it was empty as a datagram left."""
+        baseline = self._baseline
+        if baseline.pausing:
+            if now_ns < self.pacer.not_before_ns:  # what has just left was urgent
+                self.pacer.pause(baseline.put_off(self._empty_ns + baseline.pause_ns))
+        elif idle_ns >= baseline.pause_ns:
+            baseline.begin(now_ns, self._apparent_delay_ns())
+        elif now_ns >= baseline.due_ns:
+            self.pacer.pause(self._empty_ns + baseline.pause_ns)
+            baseline.begin(self.pacer.not_before_ns, self._apparent_delay_ns())
 
     def _anchor(self, now_ns: int) -> None:
         """Set the virtual queue by the newest arrivals: by the least late of some, as noise only adds."""
@@ -435,16 +429,16 @@ class AdaptiveEstimator:
             self._hold(Input.OVERDUE, unreported[0].sent_ns, now_ns)
 
     def _doubt(self, now_ns: int) -> None:
-        """The link may carry more than it did: send trains for a while to see."""
-        self._doubt_until_ns = now_ns + DOUBT_NS + DOUBT_RTTS * self._rtts.shortest_ns
+        """The link may carry more than it did."""
+        self._trains.doubt(self._rtts.shortest_ns, now_ns)
 
     def _look_for_more(self, now_ns: int) -> None:
-        """A train, at most twice per round trip, while it is in doubt whether the link carries more."""
-        interval_ns = max(TRAIN_INTERVAL_NS * 3, self._rtts.newest_ns // 2)
-        if max(self.pacer.not_before_ns, self._train_ns + interval_ns) < now_ns < self._doubt_until_ns:
-            self._train_ns = now_ns
-            longer = min(MOST_LONGER, int(self._noise_ns / LONGER_NOISE_NS))
-            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS + longer
+        """A train now and then, while it is in doubt whether the link carries more."""
+        length = self._trains.next_length(
+            self.pacer.not_before_ns, self._rtts.newest_ns, self._noise_ns, now_ns
+        )
+        if length:
+            self._probes_left = self.pacer.free = length
 
     # Small things.
 
@@ -452,11 +446,6 @@ class AdaptiveEstimator:
     def _noise_ns(self) -> float:
         """Sigma of one arrival."""
         return 0.7 * self._dispersion.noise_ns
-
-    def _train_bytes(self, rate_bps: int) -> int:
-        airtime_ns = TRAIN_AIRTIME_NS + int(TRAIN_NOISES * self._noise_ns)
-        airtime_bytes = rate_bps * airtime_ns // (8 * NS_PER_S)
-        return min(self.datagram_bytes, max(TRAIN_BYTES, airtime_bytes))
 
     def _apparent_delay_ns(self) -> int:
         """The empty link's delay by the newest arrivals, should the virtual queue be right."""
@@ -474,7 +463,7 @@ class AdaptiveEstimator:
         self.pacer.allowance_ns = ALLOWANCE_NS + int(ALLOWANCE_NOISE * self._noise_ns)
 
     def _set_rate(self, rate_bps: float) -> None:
-        self._train_interval_ns = TRAIN_INTERVAL_NS
+        self._trains.interval_ns = TRAIN_INTERVAL_NS
         self._known_bps = rate_bps
         self.rate_bps = _whole(rate_bps)
 

@@ -3,7 +3,8 @@
 It cannot be read off while there is a queue, and nobody tells whether there is one. So the sender makes
 sure: every few seconds it lets the computed queue run empty, waits a little longer, and looks. What is met
 then is the empty link, unless waiting has brought the delay down: then there was more queue than computed,
-and the pause is repeated, longer. Clock drift and route changes of either sign are followed so.
+and the pause is repeated, longer. A pause into which something urgent leaves begins anew. Clock drift and
+route changes of either sign are followed so; a delay that is higher by far is looked at twice.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ CHANGE_PAUSE_NS = 40_000_000  # after a change, when the queue is less sure
 MAX_PAUSE_NS = 400_000_000
 INTERVAL_NS = 5_000_000_000  # between pauses: 10 ms of 5 s are 0.2 % of the link
 SOON_NS = 200_000_000  # after a change
+PUT_OFF_NS = 500_000_000  # a pause may begin anew for so long in all
+RAISED_NS = 3_000_000  # a base higher by this, and the noise, is believed the second time
 _SAMPLE_NOISE_NS = 800_000  # one arrival more is looked at per this much noise
 _MAX_SAMPLES = 10
 
@@ -30,6 +33,8 @@ class Baseline:
         self.due_ns = now_ns
         self._before_ns = 0
         self._from_ns: int | None = None  # what leaves from then on meets the empty link
+        self._latest_ns = 0  # which it does not put off beyond this
+        self._raised = False  # whether the last pause showed a much higher delay
         self._delays_ns: list[int] = []
 
     @property
@@ -40,8 +45,15 @@ class Baseline:
     def begin(self, from_ns: int, before_ns: int) -> None:
         """The link is empty from then on. before_ns: what the link seemed to have for delay lately."""
         self._from_ns = from_ns
+        self._latest_ns = from_ns + PUT_OFF_NS
         self._before_ns = before_ns
         self._delays_ns = []
+
+    def put_off(self, from_ns: int) -> int:
+        """Something has left in the pause and is served until shortly before then; the pause's new end."""
+        assert self._from_ns is not None, "there is a pause"
+        self._from_ns = max(self._from_ns, min(from_ns, self._latest_ns))
+        return self._from_ns
 
     def restart(self, from_ns: int) -> None:
         """The link has changed; nothing is known until the first arrivals of what leaves from then on."""
@@ -66,10 +78,15 @@ class Baseline:
                 self._delays_ns.append(flight.delay_ns(rate_bps) - flight.wait_ns)
         if len(self._delays_ns) < needed:
             return False
-        after_ns = min(self._delays_ns)
+        after_ns, self._from_ns = min(self._delays_ns), None
+        if self.delay_ns is not None:
+            self._raised = after_ns - self.delay_ns > RAISED_NS + 1.5 * noise_ns and not self._raised
+            if self._raised:
+                self.due_ns = now_ns
+                return True
         hidden = self._before_ns - after_ns > max(self.pause_ns / 2, 1.5 * noise_ns)
         first = self.delay_ns is None
-        self.delay_ns, self._from_ns = after_ns, None
+        self.delay_ns = after_ns
         if hidden:
             self.pause_ns = min(MAX_PAUSE_NS, 2 * self.pause_ns)
         elif not first:

@@ -15,14 +15,18 @@ _MOST = 8192  # flights held while nothing is reported: hours of a trickle
 
 
 class Flight:
-    """A datagram. wait_ns: queue that it is taken to have met; arrived_ns: in the peer's clock."""
+    """A datagram. wait_ns: queue that it is taken to have met; arrived_ns: in the peer's clock.
 
-    __slots__ = ("arrived_ns", "bits", "number", "sent_ns", "wait_ns")
+    bits_before: of the channel's own datagrams, which nobody reports on, since the flight before this one.
+    """
 
-    def __init__(self, number: int, sent_ns: int, bits: int, wait_ns: int) -> None:
+    __slots__ = ("arrived_ns", "bits", "bits_before", "number", "sent_ns", "wait_ns")
+
+    def __init__(self, number: int, sent_ns: int, bits: int, wait_ns: int, bits_before: int = 0) -> None:
         self.number = number
         self.sent_ns = sent_ns
         self.bits = bits
+        self.bits_before = bits_before
         self.wait_ns = wait_ns
         self.arrived_ns: int | None = None
 
@@ -40,9 +44,9 @@ class Flights:
         self.unreported: deque[Flight] = deque(maxlen=_MOST)
         self._offset_us = 0  # of the newest arrival stamp (expanded) from our clock
 
-    def on_sent(self, number: int, bits: int, wait_ns: int, now_ns: int) -> None:
+    def on_sent(self, number: int, bits: int, wait_ns: int, now_ns: int, bits_before: int = 0) -> None:
         """A datagram has left."""
-        self.unreported.append(Flight(number, now_ns, bits, wait_ns))
+        self.unreported.append(Flight(number, now_ns, bits, wait_ns, bits_before))
 
     def on_report(self, settled: Sequence[ReportedPacket]) -> list[Flight]:
         """Those that have arrived, oldest first; what is lost, or of unknown arrival, is forgotten."""
@@ -65,7 +69,7 @@ class Flights:
 
     def bits_in_flight(self) -> int:
         """All that may still be queued."""
-        return sum(flight.bits for flight in self.unreported)
+        return sum(flight.bits + flight.bits_before for flight in self.unreported)
 
     def simulate(self, rate_bps: float, begin: Flight, wait_ns: int, now_ns: int) -> int:
         """The queue now (ns), if one flight met `wait_ns` of it and the link serves this rate since.
@@ -83,6 +87,8 @@ class Flights:
                     continue
                 sent_ns = flight.sent_ns
                 start_ns = empty_ns if empty_ns > sent_ns else sent_ns
+                if flight.bits_before:
+                    start_ns += int(flight.bits_before * per_bit_ns)
                 flight.wait_ns = start_ns - sent_ns
                 empty_ns = start_ns + int(flight.bits * per_bit_ns)
         return max(0, empty_ns - now_ns)

@@ -29,6 +29,7 @@ class VirtualQueue:
         "free",
         "not_before_ns",
         "rate_bps",
+        "sent_bits",
         "sent_ns",
         "urgent_from_ns",
     )
@@ -39,6 +40,7 @@ class VirtualQueue:
         self.not_before_ns = self.urgent_from_ns = now_ns
         self.free = 0
         self.found_ns = 0  # what the newest datagram found before it
+        self.sent_bits = 0  # in all
         self.sent_ns = now_ns  # when the newest datagram left
         self._level = 0
         self._updated_ns = now_ns
@@ -77,6 +79,7 @@ class VirtualQueue:
         """Charge a datagram, IP and UDP headers included, whether or not it was allowed to leave."""
         self.found_ns = self.wait_ns(now_ns)
         self.sent_ns = now_ns
+        self.sent_bits += wire_bytes * 8
         self._level += wire_bytes * 8 * NS_PER_S
         self.free = max(0, self.free - 1)
 

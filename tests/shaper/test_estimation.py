@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.estimation.bands import Bands
+from shaper.estimation.baseline import PAUSE_NS, Baseline
 from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight, Flights
 from shaper.estimation.silence import Silence
@@ -102,6 +103,40 @@ def test_what_later_flights_met_follows_from_one_that_is_known() -> None:
     queue_ns = flights.simulate(RATE_BPS, flights.unreported[0], 20 * MS, 10 * MS)
     assert queue_ns == 20 * MS + 5 * 8 * MS - 10 * MS
     assert [f.wait_ns for f in flights.unreported] == [20 * MS, 27 * MS, 34 * MS, 41 * MS, 48 * MS]
+
+
+def test_the_channels_own_datagrams_delay_what_leaves_after_them() -> None:
+    flights = Flights()
+    flights.on_sent(0, 8000, 0, 0)
+    flights.on_sent(1, 8000, 0, 1 * MS, bits_before=10_000)
+    assert flights.simulate(RATE_BPS, flights.unreported[0], 0, 1 * MS) == 8 * MS + 10 * MS + 8 * MS - 1 * MS
+    assert flights.unreported[1].wait_ns == 8 * MS + 10 * MS - 1 * MS
+
+
+def verified(baseline: Baseline, delay_ns: int, now_ns: int) -> None:
+    """A pause, after which a datagram met an empty link."""
+    baseline.begin(now_ns, delay_ns)
+    met = flight(0, now_ns, now_ns + 8 * MS + delay_ns, wait_ns=0)
+    assert baseline.on_arrived([met], RATE_BPS, 0.0, now_ns)
+
+
+def test_a_delay_that_is_higher_by_far_is_believed_the_second_time() -> None:
+    baseline = Baseline(0)
+    verified(baseline, 50 * MS, 1 * S)
+    verified(baseline, 52 * MS, 2 * S)
+    assert baseline.delay_ns == 52 * MS
+    verified(baseline, 80 * MS, 3 * S)
+    assert baseline.delay_ns == 52 * MS and baseline.due_ns == 3 * S
+    verified(baseline, 80 * MS, 4 * S)
+    assert baseline.delay_ns == 80 * MS
+
+
+def test_what_leaves_in_a_pause_puts_its_end_off_but_not_for_ever() -> None:
+    baseline = Baseline(0)
+    baseline.begin(S + PAUSE_NS, 0)
+    assert baseline.put_off(S + 30 * MS) == S + 30 * MS
+    assert baseline.put_off(S + 20 * MS) == S + 30 * MS
+    assert baseline.put_off(9 * S) == S + PAUSE_NS + 500 * MS
 
 
 def test_a_lossy_way_back_must_miss_more_promises_before_it_is_silent() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,7 +13,9 @@ from hypothesis import strategies as st
 from shaper.errors import DecodeError
 from shaper.fragments import Reassembler
 from shaper.frames import MAX_SHARES, MessageFrame
+from shaper.outgoing import Opportunity, Outgoing
 from shaper.parity import Protected, decode_shares, encode_shares, protect, share_bytes
+from shaper.traffic_class import Keep, TopicRule, TrafficClass
 from tests.shaper.pair import MS, Pair, S
 
 S_NS = 1_000_000_000
@@ -191,3 +194,15 @@ def test_a_message_under_parity_starts_anew_for_a_peer_that_restarted() -> None:
     pair.restart(pair.operator)
     pair.advance(3 * S)
     assert pair.operator.payloads[-1] == b"i" * 30_000
+
+
+def test_a_share_cut_for_a_fast_link_leaves_alone_when_it_turns_thin_but_not_in_a_train() -> None:
+    pictures = TrafficClass("pictures", 1, Keep.LATEST, 10 * S_NS, max_parity_ratio=0.5)
+    outgoing = Outgoing((TopicRule("image", pictures),), 10, 100_000)
+    outgoing.offer("image", bytes(9000), "", 0, 0)
+    fast = Opportunity(1200, 1200, 1_000_000, loss_ratio=0.1, now_ns=0)
+    first, train, alone = bytearray(), bytearray(), bytearray()
+    assert outgoing.fill(first, fast)[0] and len(first) > 1000
+    thin = replace(fast, limit_bytes=300, rate_bps=100_000)
+    assert not outgoing.fill(train, replace(thin, timed=True))[0] and not train
+    assert outgoing.fill(alone, thin)[0] and len(alone) > 1000

@@ -1,0 +1,47 @@
+"""Trains: small datagrams at once, whose spacing on arrival tells the rate. When to send one, how large."""
+
+from __future__ import annotations
+
+NS_PER_S = 1_000_000_000
+NS_PER_MS = 1_000_000
+
+TRAIN_DATAGRAMS = 3
+TRAIN_BYTES = 150  # on the wire; small, as the link may be thin now, and large against headers
+TRAIN_AIRTIME_NS = 8 * NS_PER_MS  # of a train's datagram while the rate is known ...
+TRAIN_NOISES = 2.0  # ... and this much per noise of arrivals
+MOST_LONGER, LONGER_NOISE_NS = 5, 1_200_000  # one more per this much noise of arrivals, and so many at most
+TRAIN_INTERVAL_NS = 20 * NS_PER_MS  # at least, from the end of one to the start of the next
+START_INTERVAL_NS, MAX_START_INTERVAL_NS = 300 * NS_PER_MS, 3 * NS_PER_S  # while no train was reported
+DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become quicker is measured by trains
+
+
+class Trains:
+    """interval_ns: between those that search for the rate. In run they leave only while it is in doubt."""
+
+    __slots__ = ("_doubt_until_ns", "_sent_ns", "interval_ns")
+
+    def __init__(self, now_ns: int, *, hinted: bool) -> None:
+        self.interval_ns = TRAIN_INTERVAL_NS if hinted else START_INTERVAL_NS
+        self._sent_ns = self._doubt_until_ns = now_ns
+
+    def wait_longer(self) -> None:
+        """No answer has come yet."""
+        self.interval_ns = min(2 * self.interval_ns, MAX_START_INTERVAL_NS)
+
+    def doubt(self, shortest_rtt_ns: int, now_ns: int) -> None:
+        """The link may carry more than it did: send trains for a while to see."""
+        self._doubt_until_ns = now_ns + DOUBT_NS + DOUBT_RTTS * shortest_rtt_ns
+
+    def next_length(self, not_before_ns: int, newest_rtt_ns: int, noise_ns: float, now_ns: int) -> int:
+        """How many datagrams the train has that leaves now; 0: none does. At most two per round trip."""
+        interval_ns = max(TRAIN_INTERVAL_NS * 3, newest_rtt_ns // 2)
+        if not max(not_before_ns, self._sent_ns + interval_ns) < now_ns < self._doubt_until_ns:
+            return 0
+        self._sent_ns = now_ns
+        return TRAIN_DATAGRAMS + min(MOST_LONGER, int(noise_ns / LONGER_NOISE_NS))
+
+
+def train_bytes(rate_bps: int, noise_ns: float, most_bytes: int) -> int:
+    """Size on the wire of a train's datagram."""
+    airtime_ns = TRAIN_AIRTIME_NS + int(TRAIN_NOISES * noise_ns)
+    return min(most_bytes, max(TRAIN_BYTES, rate_bps * airtime_ns // (8 * NS_PER_S)))
