@@ -18,14 +18,16 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)
 	$(BIN)/straitlink demo $(if $(LOG),--log "$(LOG)") $(DEMO_ARGS)
 
-# First what needs no clock, then the tests with real processes, which mostly wait; two at a time each.
+# First what needs no clock, then the tests with real processes, which mostly wait: two files at a time, so that
+# the tests of one can look at the same flight. Then, alone, those that measure time.
 test: $(READY)
-	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadgroup $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -m "live and not guest" -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "live and not guest and not exact" -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "exact" $(PYTEST_ARGS)
 
 # Twenty times the examples of each property, new ones each time, and 500 missions of chaos: about an hour.
 test-thorough: $(READY)
-	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadgroup \
+	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadfile \
 		--hypothesis-profile=thorough --timeout=1200 $(PYTEST_ARGS)
 	$(BIN)/straitlink chaos --count 500
 

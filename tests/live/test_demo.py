@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from straitlink.synthetic import SyntheticSettings, synthesize
 from tests.live.processes import ROOT, marked_processes, wait_until
 
-pytestmark = [pytest.mark.live, pytest.mark.xdist_group("demonstrations")]  # two look at one run
+pytestmark = pytest.mark.live
 
 
 @pytest.fixture(scope="module")

@@ -67,6 +67,7 @@ def ages_ms(rig: Rig, load: Load) -> dict[str, list[float]]:
     return ages
 
 
+@pytest.mark.exact
 def test_live_and_virtual_time_agree(tmp_path: Path) -> None:
     expected = run_mission(MissionSettings(PROFILE, LOAD, RUN_S * S, 1))["topics"]
     with Rig(tmp_path, PROFILE, LOAD) as rig:

@@ -34,7 +34,6 @@ def why_no_namespaces() -> str:
 
 pytestmark = [
     pytest.mark.live,
-    pytest.mark.xdist_group("namespaces"),  # they look at all of the machine's
     pytest.mark.skipif(bool(why_no_namespaces()), reason=why_no_namespaces() or "it can"),
 ]
 
@@ -104,6 +103,7 @@ def python(text: str) -> list[str]:
     return [sys.executable, "-c", text]
 
 
+@pytest.mark.exact
 def test_a_datagram_takes_the_delay_and_its_serialisation_both_ways() -> None:
     done = through("constant-1m-50ms", python(ROUND_TRIPS), python(ECHO), "--linger", "0")
     assert done.returncode == 0, done.stderr
@@ -113,6 +113,7 @@ def test_a_datagram_takes_the_delay_and_its_serialisation_both_ways() -> None:
     assert rtts_ms[10] < expected_ms + 5
 
 
+@pytest.mark.exact
 @pytest.mark.skipif(shutil.which("ping") is None, reason="needs ping (apt-get install iputils-ping)")
 def test_ping_shows_the_delay() -> None:
     done = through("constant-1m-50ms", ["ping", "-c", "5", "-i", "0.2", "10.71.0.2"], ["sleep", "3"])
@@ -121,6 +122,7 @@ def test_ping_shows_the_delay() -> None:
     assert found is not None and 101.3 <= float(found[1]) < 106
 
 
+@pytest.mark.exact
 def test_a_tcp_copy_gets_the_rate() -> None:
     done = through("constant-1m-50ms", python(TCP_SOURCE), python(TCP_SINK))
     assert done.returncode == 0, done.stderr

@@ -87,6 +87,7 @@ async def received(end: socket.socket) -> bytes:
     return await asyncio.wait_for(asyncio.get_running_loop().sock_recv(end, 2048), 5)
 
 
+@pytest.mark.exact
 def test_datagrams_arrive_in_order_when_the_link_says() -> None:
     """200 datagrams in 1 s at 200 kbit/s: 128 bytes on the wire are 5.12 ms of service and 20 ms of delay."""
     packets: list[PacketRecord] = []

@@ -12,8 +12,6 @@ from straitlink.mission import run_mission
 from straitlink.mission.mission import adaptive
 from tests.mission.scenarios import TraceLog, settings
 
-pytestmark = pytest.mark.xdist_group("backlogged missions")  # two tests look at one of them
-
 
 @cache
 def fly(profile: str) -> tuple[dict[str, Any], TraceLog]:

@@ -15,7 +15,6 @@ from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 from tests.mission.scenarios import S, TraceLog, band, both_ways, settings, with_faults
 from tests.mission.test_trials import accounted
 
-pytestmark = pytest.mark.xdist_group("missions over broken links")  # several tests look at one flight
 FAST, THIN = (1_000_000, 50), (100_000, 500)  # bit/s, ms one way
 MESSY = {"duplicate_ratio": 0.01, "jitter_ns": 5_000_000, "reorder": True}
 RELIABLE = ("robot/plan", "operator/command", "operator/plan")

@@ -14,7 +14,6 @@ from tests.mission.scenarios import TraceLog, fly, settings
 
 Flown = Callable[[], dict[str, Any]]
 SEEDS = (1, 2, 3)
-pytestmark = pytest.mark.xdist_group("missions of the Trials")  # several tests look at one flight
 
 
 @cache

@@ -1,0 +1,85 @@
+"""Sections on perception: views, their codecs, and bytes that mean harm."""
+
+from __future__ import annotations
+
+from bench.page.provenance import Document, provenance_text
+from bench.page.section import Section, Table
+
+
+def view_codec(document: Document) -> Section:
+    """Views, clouds and pictures."""
+    rows = [
+        [
+            f"{r['product']}: {r['codec']}",
+            str(r["views"]),
+            f"{r['bytes']:,.0f}",
+            f"{r['ratio']:.2f}",
+            f"{r['encode_ms']:.1f}",
+            f"{r['decode_ms']:.1f}",
+            "" if r["paper_bytes"] is None else f"{r['paper_bytes']:,}",
+        ]
+        for r in document["rows"]
+    ]
+    header = ("view", "of", "bytes", "ratio", "encode ms", "decode ms", "Table 1 of the paper, B")
+    return Section(
+        "Views",
+        "Mean bytes; the ratio is to the paper's encoding at the same fidelity; CPU of one core, medians.",
+        "python -m bench.view_codec",
+        provenance_text(document),
+        [Table(header, rows)],
+    )
+
+
+def perception(document: Document) -> Section:
+    """The perception server's work."""
+    timings = {
+        "taking in a scan": document["insertion"],
+        "a snapshot of the history": document["snapshot"],
+        **document["views"],
+    }
+    rows = [
+        [
+            name,
+            str(document["view_bytes"].get(name, "")),
+            f"{t['median_ms']:.2f}",
+            f"{t['p95_ms']:.2f}",
+            f"{t['worst_ms']:.2f}",
+            str(t["n"]),
+        ]
+        for name, t in timings.items()
+    ]
+    outcomes = ", ".join(f"{count} {what.replace('_', ' ')}" for what, count in document["budget"].items())
+    return Section(
+        "Views of two minutes of lidar",
+        f"{document['scans']:,} scans, {document['points']:,} points in {document['history_mb']:.0f} MB of "
+        f"history (the process at most {document['peak_mb']:.0f} MB); CPU of one core. Random requests with "
+        f"random budgets: {outcomes}.",
+        "python -m bench.perception",
+        provenance_text(document),
+        [Table(("work", "bytes", "p50 ms", "p95 ms", "worst ms", "of"), rows)],
+    )
+
+
+def view_fuzz(document: Document) -> Section:
+    """Damaged and hostile views."""
+    rows = [
+        [
+            kind,
+            f"{t['cases']:,}",
+            f"{t['decoded']:,}",
+            f"{t['refused']:,}",
+            str(len(t["broken"])),
+            f"{t['worst_ms']:.0f}",
+            f"{t['worst_traced_mb']:.0f}",
+        ]
+        for kind, t in document["decoders"].items()
+    ]
+    header = ("decoder", "messages", "decoded", "refused", "anything else", "worst ms", "worst MB")
+    return Section(
+        "Bytes that mean harm",
+        "Damaged views, and small ones that stand for much. Each is decoded or refused within a second of "
+        "CPU and 64 MB.",
+        "python -m bench.view_fuzz",
+        provenance_text(document),
+        [Table(header, rows)],
+    )
