@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shlex
 import subprocess
+import sys
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -29,7 +31,7 @@ def keep(name: str, figures: dict[str, Any]) -> dict[str, Any]:
 
 
 def provenance() -> dict[str, Any]:
-    """commit (with + for uncommitted changes), when, python, machine, and the versions of what is measured.
+    """commit (with + for uncommitted changes), command, time, machine, and versions of what is measured.
 
     load_average: of 1, 5 and 15 minutes when the bench ended, itself included; beyond the number of cores,
     others took part of the machine.
@@ -37,6 +39,7 @@ def provenance() -> dict[str, Any]:
     return {
         "commit": _git("rev-parse", "--short", "HEAD")
         + ("+" if _git("status", "--porcelain", "-uno") else ""),
+        "command": _command(),
         "when": datetime.now(UTC).isoformat(timespec="minutes"),
         "load_average": [round(load, 2) for load in os.getloadavg()],
         "python": platform.python_version(),
@@ -47,6 +50,13 @@ def provenance() -> dict[str, Any]:
         "tcp_congestion_control": _read("/proc/sys/net/ipv4/tcp_congestion_control"),
         "packages": {name: found for name in _PACKAGES if (found := _version(name))},
     }
+
+
+def _command() -> str:
+    """What was typed, so that it can be typed again."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    name = f"python -m {spec.name.removesuffix('.__main__')}" if spec else sys.argv[0]
+    return " ".join([name, *map(shlex.quote, sys.argv[1:])])
 
 
 def _git(*arguments: str) -> str:

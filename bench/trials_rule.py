@@ -118,10 +118,11 @@ def main() -> None:
     parser.add_argument("--profiles", nargs="*", default=PROFILES)
     parser.add_argument("--seeds", nargs="*", type=int, default=SEEDS)
     parser.add_argument("--minutes", type=float, default=MINUTES)
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--json", action="store_true")
     a = parser.parse_args()
     jobs = [(profile, way, seed, a.minutes) for profile in a.profiles for way in WAYS for seed in a.seeds]
-    with multiprocessing.Pool(2) as pool:
+    with multiprocessing.Pool(a.processes) as pool:
         flights = pool.map(_fly, jobs, chunksize=1)
     document = keep("trials_rule", {"minutes": a.minutes, "flights": [asdict(f) for f in flights]})
     if a.json:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.page.provenance import Document, provenance_text
+from bench.page.provenance import Document, command_text, provenance_text
 from bench.page.section import Curves, Section, Table
 
 
@@ -29,7 +29,7 @@ def mission(document: Document) -> Section:
     return Section(
         "Missions in virtual time",
         "Both shapers and the link in one process; all but the CPU time is exact, the same on any machine.",
-        "python -m bench.mission",
+        command_text(document, "python -m bench.mission"),
         provenance_text(document),
         [Table(header, rows)],
     )
@@ -47,7 +47,7 @@ def live_mission(document: Document) -> Section:
     return Section(
         "The demonstration, live",
         f"{document['seconds']:.0f} s of the synthetic mission (4,000 messages/s, 5 MB/s) over the Trials.",
-        f"python -m bench.live_mission --seconds {document['seconds']:.0f}",
+        command_text(document, f"python -m bench.live_mission --seconds {document['seconds']:.0f}"),
         provenance_text(document),
         [Table(("figure", "value"), rows)],
     )
@@ -81,7 +81,7 @@ def scale(document: Document) -> Section:
         "before they leave cost little, so the cost follows what the link carries. *Seconds*: how long it "
         "has run, where 0 is right. *Backlog*: reliable messages that one topic may hold, with more offered "
         "than the link carries.",
-        "python -m bench.scale",
+        command_text(document, "python -m bench.scale"),
         provenance_text(document),
         tables,
         [Curves("CPU", "topics, messages/s, links, seconds or backlog", "of a core", lines)],
@@ -108,7 +108,7 @@ def soak(document: Document) -> Section:
         "A day",
         f"{len(hours)} virtual hours of the Trials' link in {document['cpu_s']:.0f} s of CPU. Memory grew by "
         f"{document['growth_mb']} MB after the second hour. Faults: {faults}.",
-        "python -m bench.soak",
+        command_text(document, "python -m bench.soak"),
         provenance_text(document),
         [Table(("hour", "MB", "objects", "offered", "delivered", "datagrams"), rows)],
     )
@@ -130,7 +130,7 @@ def ingest(document: Document) -> Section:
         "A robot's bus",
         f"{document['seconds']:.0f} s of messages of the synthetic mission's sizes through real processes, "
         "the shapers joined by loopback: what looking at every message costs, Zenoh's own threads included.",
-        f"python -m bench.ingest --seconds {document['seconds']:g}",
+        command_text(document, f"python -m bench.ingest --seconds {document['seconds']:g}"),
         provenance_text(document),
         [Table(("figure", "value"), rows)],
     )

@@ -13,17 +13,19 @@ matplotlib.use("svg")
 from matplotlib import pyplot
 from matplotlib.figure import Figure
 
-from bench.page.section import Bars, Curves, Section, Table
+from bench.page.section import INTRODUCTION, Bars, Curves, Section, Table
 
 _OURS = "straitlink"
 _STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 88rem; margin: 2rem auto; padding: 0 1rem;
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 92rem; margin: 2rem auto; padding: 0 1rem;
   color: #1d2730; }
 h1, h2 { line-height: 1.2; } h2 { margin-top: 3rem; border-bottom: 1px solid #d5dbe1; }
 table { border-collapse: collapse; margin: 1rem 0 2rem; font-variant-numeric: tabular-nums; display: block;
   overflow-x: auto; }
 caption { text-align: left; font-weight: 600; padding: .4rem 0; }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e6eaee; white-space: nowrap; }
+th, td { padding: .2rem .55rem; text-align: right; border-bottom: 1px solid #e6eaee; font-size: 13.5px; }
+th { vertical-align: bottom; } td { white-space: nowrap; }
+nav { columns: 3; }
 th:first-child, td:first-child { text-align: left; }
 tr.ours td { background: #eaf4ee; font-weight: 600; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(30rem, 1fr)); gap: 1rem; }
@@ -35,20 +37,26 @@ tr.ours td { background: #eaf4ee; font-weight: 600; }
 def html_page(sections: Sequence[Section]) -> str:
     """The whole page."""
     body = "".join(_section(section) for section in sections)
+    contents = "".join(f'<a href="#{_anchor(s)}">{escape(s.title)}</a><br>' for s in sections)
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>straitlink: benchmarks</title>'
-        f"<style>{_STYLE}</style></head><body><h1>straitlink: benchmarks</h1>{body}</body></html>\n"
+        f"<style>{_STYLE}</style></head><body><h1>straitlink: benchmarks</h1>"
+        f"{_prose(INTRODUCTION)}<nav>{contents}</nav>{body}</body></html>\n"
     )
 
 
 def _section(section: Section) -> str:
     plots = "".join(f"<div>{_svg(plot)}</div>" for plot in section.plots)
     return (
-        f"<h2>{escape(section.title)}</h2>{_prose(section.lead)}"
+        f'<h2 id="{_anchor(section)}">{escape(section.title)}</h2>{_prose(section.lead)}'
         f'<p class="source"><code>{escape(section.command)}</code>: {escape(section.provenance)}</p>'
         + (f'<div class="plots">{plots}</div>' if plots else "")
         + "".join(_table(table) for table in section.tables)
     )
+
+
+def _anchor(section: Section) -> str:
+    return re.sub("[^a-z0-9]+", "-", section.title.lower())
 
 
 def _prose(text: str) -> str:
@@ -100,7 +108,9 @@ def _bars(plot: Bars) -> Figure:
             axes.plot(low_high, (place, place), color="#1d2730", linewidth=1.2)
     for place, value in enumerate(plot.values):
         text = "none" if value is None else f" {value:,.0f}"
-        axes.text(value or 0.0, place, text, va="center", fontsize=8)
+        low_high = plot.ranges[place] if plot.ranges else None
+        end = max(value or 0.0, low_high[1] if low_high else 0.0)
+        axes.text(end, place, text, va="center", fontsize=8)
     axes.set_yticks(range(len(plot.labels)), plot.labels)
     axes.invert_yaxis()
     if plot.logarithmic:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from statistics import median
 
-from bench.page.provenance import Document, number, provenance_text
-from bench.page.section import Section, Table
+from bench.page.provenance import Document, command_text, counted, number, provenance_text
+from bench.page.section import Bars, Section, Table
+from bench.trials_rule import LOAD
 
 
 def link_estimation(document: Document) -> Section:
@@ -39,7 +40,7 @@ def link_estimation(document: Document) -> Section:
         f"An always backlogged mission of {document['minutes']:g} virtual minutes on each link, the worst of "
         "the seeds. *Used*: of the true rate, by all bytes sent. *Fall*, *rise*: seconds until the rate "
         "is right after a change. *Back*: after a blackout. *Misses*: figures outside what the row asks for.",
-        "python -m bench.link_estimation",
+        command_text(document, "python -m bench.link_estimation"),
         provenance_text(document),
         tables,
     )
@@ -47,26 +48,41 @@ def link_estimation(document: Document) -> Section:
 
 def trials_rule(document: Document) -> Section:
     """The shaper of the Trials in place of ours."""
-    flights, tables = document["flights"], []
+    flights = document["flights"]
+    tables: list[Table] = []
+    plots: list[Bars] = []
     for profile in dict.fromkeys(f["profile"] for f in flights):
         ways: dict[str, list[Document]] = {}
         for flight in flights:
             if flight["profile"] == profile:
                 ways.setdefault(flight["way"], []).append(flight)
         tables.append(Table(_FLIGHT, [_flight(way, group) for way, group in ways.items()], profile))
+        ages = [[f["heartbeat_p95_ms"] for f in group] for group in ways.values()]
+        plots.append(
+            Bars(
+                f"Heartbeat's age, p95: {LOAD} over {profile}",
+                list(ways),
+                [median(a) for a in ages],
+                "ms",
+                logarithmic=True,
+                ranges=[(min(a), max(a)) for a in ages],
+            )
+        )
     seeds = len({f["seed"] for f in flights})
     return Section(
         "What changed since the Trials",
         f"The camera's flood for {document['minutes']:g} virtual minutes with the link rule and the queues "
         "of team MIT's shaper of December 2013, with ours, and with one of each; medians of "
-        f"{seeds} seeds. Their rule: the latency of the last packet *received* picks 950 or 95 kbit/s once a "
-        "second, at most every 15 s, and after 50 s at the high rate it falls back. Their queues: a ring "
-        "buffer per channel (1 for state and pictures, 10 for commands), strict priority, no time to live, "
-        "nothing repeated. Their rule gets clocks that agree; ours has none such. On the link that they "
-        "planned for their rule does well, and where it had to guess it fills the link's buffer.",
-        "python -m bench.trials_rule",
+        f"{counted(seeds, 'seed')}. Their rule: the latency of the last packet *received* picks 950 or 95 "
+        "kbit/s once a second, at most every 15 s, and after 50 s at the high rate it falls back. Their "
+        "queues: a ring buffer per channel (1 for state and pictures, 10 for commands), strict priority, no "
+        "time to live, nothing repeated. Their rule gets clocks that agree, and it knows both bands of the "
+        "Trials beforehand; ours has neither. Their parity was always sent; here it is only while something "
+        "is lost, to their advantage.",
+        command_text(document, "python -m bench.trials_rule"),
         provenance_text(document),
         tables,
+        plots,
     )
 
 
@@ -120,7 +136,7 @@ def calibration(document: Document) -> Section:
     return Section(
         "The emulator itself",
         "Each way of applying a link, measured from outside by the same probes: what all else rests on.",
-        "python -m bench.calibration",
+        command_text(document, "python -m bench.calibration"),
         provenance_text(document),
         [Table(header, rows)],
     )

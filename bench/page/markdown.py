@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bench.page.section import Section, Table
+from bench.page.section import INTRODUCTION, Section, Table
 
 _HEAD = """# Benchmarks
 
-Made by `python -m bench.page --docs` from what the commands below left under `out/bench`.
 """
+_MADE = "Made by `python -m bench.page --docs` from what the commands below left under `out/bench`.\n"
 
 
 def markdown_page(sections: Sequence[Section]) -> str:
     """The whole of docs/benchmarks.md."""
-    return _HEAD + "".join(f"\n{_section(section)}" for section in sections)
+    return _HEAD + f"{INTRODUCTION}\n\n{_MADE}" + "".join(f"\n{_section(section)}" for section in sections)
 
 
 def _section(section: Section) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.page.provenance import Document, provenance_text
+from bench.page.provenance import Document, command_text, provenance_text
 from bench.page.section import Section, Table
 
 
@@ -24,7 +24,7 @@ def codec(document: Document) -> Section:
     return Section(
         "Messages",
         "One core; the factor is over the C++ DCCL 4.2.0 library's own speed on the same message.",
-        "python -m bench.codec",
+        command_text(document, "python -m bench.codec"),
         provenance_text(document),
         [Table(header, rows)],
     )
@@ -48,7 +48,7 @@ def delta(document: Document) -> Section:
     return Section(
         "A robot's state",
         "At 10 Hz, each message alone and as a difference against one that has arrived.",
-        "python -m bench.delta",
+        command_text(document, "python -m bench.delta"),
         provenance_text(document),
         [Table(header, rows)],
     )
@@ -73,7 +73,7 @@ def encodings(document: Document) -> Section:
         "What the bus carries, bounded",
         "Topics of the synthetic mission in their own encodings on the bus and in the catalogue's on "
         "the link.",
-        "python -m bench.encodings",
+        command_text(document, "python -m bench.encodings"),
         provenance_text(document),
         [Table(header, rows)],
     )

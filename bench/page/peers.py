@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bench.page.provenance import Document, provenance_text
+from bench.page.provenance import Document, command_text, counted, provenance_text
 from bench.page.section import Bars, Curves, Section, Table
-from bench.page.standing import FIGURES, behind
+from bench.page.standing import FIGURES, OURS, behind
 from bench.peers.summary import COLUMNS, Row, cells, summarise
 from bench.peers.transport import PEERS
 
@@ -19,8 +19,14 @@ def peers(document: Document) -> Section:
         tables.append(Table(COLUMNS, [cells(r) for r in here], caption))
         if load == "camera-flood" and "100 kbit/s" in window:
             plots += _bars(caption, here)
+    command = command_text(document, "make bench-peers")
     return Section(
-        "Beside other stacks", _lead(document), "make bench-peers", provenance_text(document), tables, plots
+        "Beside other stacks",
+        _lead(document),
+        "make bench-peers" if command == "python -m bench.peers" else command,
+        provenance_text(document),
+        tables,
+        plots,
     )
 
 
@@ -29,7 +35,7 @@ def _lead(document: Document) -> str:
     lead = (
         "Every stack carries the same messages through the same emulated link (`--tun`, network namespaces, "
         "unmodified programs), stamped and read by one clock. The link has 10 s of buffer. Medians over "
-        f"{len({r['seed'] for r in runs})} seeds, the range in brackets. "
+        f"{counted(len({r['seed'] for r in runs}), 'seed')}, the range in brackets. "
         "*In time*: delivered before the band ended. "
         f"TCP's congestion control is the host's, {document.get('tcp_congestion_control', 'unknown')}. "
         "Configurations: `bench/peers/config/`.\n\n" + "\n".join(f"- `{p.name}`: {p.summary}" for p in PEERS)
@@ -44,15 +50,15 @@ def _lead(document: Document) -> str:
 
 def _standing(rows: list[Row]) -> Table:
     """Each figure in which another stack is ahead; one line saying so if there is none."""
-    compared = len({(r.load, r.profile, r.window) for r in rows}) * len(FIGURES)
+    compared = len(FIGURES) * sum(r.peer != OURS for r in rows)
     lines = [
         [b.place, b.figure, b.ours, b.theirs, b.peer, b.its_heartbeats, b.its_images] for b in behind(rows)
     ]
     return Table(
         ("where", "figure", "straitlink", "ahead of it", "stack", "its heartbeats", "its images in time"),
         lines or [["nowhere", "", "", "", "", "", ""]],
-        f"Where another stack is ahead of straitlink by more than 1 % of messages or 3 % of an age: "
-        f"of {compared} figures, each against every stack",
+        f"Where another stack is ahead of straitlink, by more than 1 % of the messages or 3 % of an age: "
+        f"{len(lines)} of {compared} comparisons (each figure of each band with each stack)",
     )
 
 

@@ -5,6 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+INTRODUCTION = (
+    "Messages between a robot and its operator over links that are thin, slow, changing and broken. Every "
+    "part says what was run and on what. Figures of virtual time are exact and the same on any machine; ages "
+    "and CPU times are those of the machine that is named, where a load beyond the number of its cores means "
+    "that others used it too. Where another stack does better, the first table says so.\n\n"
+    "`make bench` runs what needs no root, `make bench-peers` the other stacks."
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.page.provenance import Document, provenance_text
+from bench.page.provenance import Document, command_text, provenance_text
 from bench.page.section import Section, Table
 
 
@@ -24,7 +24,7 @@ def view_codec(document: Document) -> Section:
     return Section(
         "Views",
         "Mean bytes; the ratio is to the paper's encoding at the same fidelity; CPU of one core, medians.",
-        "python -m bench.view_codec",
+        command_text(document, "python -m bench.view_codec"),
         provenance_text(document),
         [Table(header, rows)],
     )
@@ -54,7 +54,7 @@ def perception(document: Document) -> Section:
         f"{document['scans']:,} scans, {document['points']:,} points in {document['history_mb']:.0f} MB of "
         f"history (the process at most {document['peak_mb']:.0f} MB); CPU of one core. Random requests with "
         f"random budgets: {outcomes}.",
-        "python -m bench.perception",
+        command_text(document, "python -m bench.perception"),
         provenance_text(document),
         [Table(("work", "bytes", "p50 ms", "p95 ms", "worst ms", "of"), rows)],
     )
@@ -79,7 +79,7 @@ def view_fuzz(document: Document) -> Section:
         "Bytes that mean harm",
         "Damaged views, and small ones that stand for much. Each is decoded or refused within a second of "
         "CPU and 64 MB.",
-        "python -m bench.view_fuzz",
+        command_text(document, "python -m bench.view_fuzz"),
         provenance_text(document),
         [Table(header, rows)],
     )

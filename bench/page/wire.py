@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.page.provenance import Document, provenance_text
+from bench.page.provenance import Document, command_text, provenance_text
 from bench.page.section import Section, Table
 
 _COUNTS = {
@@ -30,7 +30,7 @@ def wire_kill(document: Document) -> Section:
         "anew. *Process*: until it has its port and its bus; *handshake*, *channel* and *resume* count from "
         "there until the peer is proved, a message has crossed each way, and the same with the wait for one "
         "to be published.",
-        "python -m bench.wire_kill",
+        command_text(document, "python -m bench.wire_kill"),
         provenance_text(document),
         [Table(("messages", "number"), counts), Table(("after a kill, ms", "p50", "most"), times)],
     )
@@ -54,7 +54,7 @@ def wire_flood(document: Document) -> Section:
         f"A stranger's flood: {what}",
         f"Ages of a 20 Hz heartbeat without and with {what} sent to the receiving shaper's port. The flood's "
         "own sending takes a core of the same machine.",
-        f"python -m bench.wire_flood{flag}",
+        command_text(document, f"python -m bench.wire_flood{flag}"),
         provenance_text(document),
         [Table(("figure", "value"), rows)],
     )
