@@ -26,6 +26,7 @@ COMPUTING: tuple[Command, ...] = (
 )
 LIVE: tuple[Command, ...] = (
     ("bench.live_mission",),
+    ("bench.live_link", "--minutes", "2"),
     ("bench.wire_kill", "--kills", "10"),
     ("bench.calibration",),
     ("bench.perception_chain",),

@@ -19,6 +19,7 @@ from pathlib import Path
 import tomlkit
 from mcap.reader import make_reader
 
+from bench.machine import keep
 from netem_scripts.profiles import load_profile
 from perception_server.geometry_inputs import GeometryInputs
 from shaper.bus import BusSettings
@@ -182,8 +183,16 @@ def main() -> None:
         fitting = [words + f" frame_id={world}" if words in LIDAR_REQUESTS else words for words in fitting]
     requests = arguments.requests or fitting
     outcomes = run(log, arguments.out, arguments.profile, requests, arguments.settle)
+    document = keep(
+        "perception_chain",
+        {
+            "profile": arguments.profile,
+            "log": log.name,
+            "outcomes": [asdict(outcome) for outcome in outcomes],
+        },
+    )
     if arguments.json:
-        print(json.dumps([asdict(outcome) for outcome in outcomes], indent=1))
+        print(json.dumps(document, indent=1))
         return
     for outcome in outcomes:
         print(f"{outcome.request:45} {outcome.took_s:6.2f} s  {outcome.told}  {outcome.file}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from html import escape
@@ -115,6 +116,8 @@ def _bars(plot: Bars) -> Figure:
     axes.invert_yaxis()
     if plot.logarithmic:
         axes.set_xscale("log")
+        least = min((value for value in shown if value > 0), default=1.0)
+        axes.set_xlim(left=10 ** (math.ceil(math.log10(least)) - 1))  # else the shortest bar has no length
     axes.set_xlabel(plot.unit)
     axes.set_title(plot.title, fontsize=9, loc="left")
     axes.spines[["top", "right"]].set_visible(False)

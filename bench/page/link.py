@@ -46,6 +46,29 @@ def link_estimation(document: Document) -> Section:
     )
 
 
+def live_link(document: Document) -> Section:
+    """The estimator in real processes."""
+    by_rate = ", ".join(
+        f"{share:.2f} at {int(rate) / 1000:g} kbit/s" for rate, share in document["cpu_by_rate"].items()
+    )
+    rows = [
+        ["link used, both ways", f"{document['utilisation']:.1%}"],
+        ["the worst ten seconds", f"{document['worst_window']:.1%}"],
+        ["queueing delay p50, p95, ms", f"{document['p50_ms']:.0f}, {document['p95_ms']:.0f}"],
+        ["time with a queue beyond 100 ms", f"{document['long_ratio']:.2%}"],
+        ["datagrams dropped by a full buffer", str(document["tail_drops"])],
+        ["CPU of the robot's shaper, of a core", by_rate],
+    ]
+    return Section(
+        f"The same with real processes: {document['profile']}",
+        f"{document['minutes']:g} minutes, both directions always backlogged, presets not announced; judged "
+        "from what entered the link.",
+        command_text(document, "python -m bench.live_link"),
+        provenance_text(document),
+        [Table(("figure", "value"), rows)],
+    )
+
+
 def trials_rule(document: Document) -> Section:
     """The shaper of the Trials in place of ours."""
     flights = document["flights"]

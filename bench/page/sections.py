@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bench.page.cost import ingest, live_mission, mission, scale, soak
-from bench.page.link import calibration, link_estimation, trials_rule
+from bench.page.link import calibration, link_estimation, live_link, trials_rule
 from bench.page.messages import codec, delta, encodings
 from bench.page.peers import peers
 from bench.page.provenance import Document
 from bench.page.section import Section
-from bench.page.views import perception, view_codec, view_fuzz
+from bench.page.views import perception, perception_chain, view_codec, view_fuzz
 from bench.page.wire import wire_flood, wire_kill
 
 SECTIONS: dict[str, Callable[[Document], Section]] = {
     "peers": peers,
     "trials_rule": trials_rule,
     "link_estimation": link_estimation,
+    "live_link": live_link,
     "mission": mission,
     "live_mission": live_mission,
     "wire_kill": wire_kill,
@@ -27,6 +28,7 @@ SECTIONS: dict[str, Callable[[Document], Section]] = {
     "soak": soak,
     "view_codec": view_codec,
     "perception": perception,
+    "perception_chain": perception_chain,
     "view_fuzz": view_fuzz,
     "codec": codec,
     "encodings": encodings,

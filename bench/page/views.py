@@ -60,6 +60,19 @@ def perception(document: Document) -> Section:
     )
 
 
+def perception_chain(document: Document) -> Section:
+    """Asked for and got, over a link."""
+    rows = [[o["request"], o["told"], f"{o['took_s']:.2f}"] for o in document["outcomes"]]
+    return Section(
+        "Views across a link",
+        f"Requests on the operator's bus over {document['profile']}, replayed from {document['log']}: what "
+        "came, and how long from asking to having it.",
+        command_text(document, "python -m bench.perception_chain"),
+        provenance_text(document),
+        [Table(("request", "what came", "s"), rows)],
+    )
+
+
 def view_fuzz(document: Document) -> Section:
     """Damaged and hostile views."""
     rows = [
