@@ -208,7 +208,7 @@ class Endpoint:
                 wakeup_ns = at_ns
         scheduler = self._outgoing.scheduler
         if scheduler.next_queue(only_always_send=self.holding) is not None:
-            wakeup_ns = now_ns
+            wakeup_ns = min(wakeup_ns, self._estimator.pacer.urgent_at_ns(now_ns))
         wakeup_ns = max(wakeup_ns, self._estimator.pacer.next_send_at_ns(now_ns), self._trickle_at_ns())
         if scheduler.next_queue(only_always_send=True) is not None:
             urgent_ns = max(self._estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())

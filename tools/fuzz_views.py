@@ -21,11 +21,19 @@ from perception_server.decoded import ViewDecoder
 from perception_server.dispatch import Dispatcher
 from perception_server.errors import RequestError
 from perception_server.sensors import check_request
-from perception_server.view_codec import DecodeError, decode_cloud, decode_map, decode_octree, unpack_jpeg
+from perception_server.view_codec import (
+    DecodeError,
+    decode_cloud,
+    decode_map,
+    decode_octree,
+    unpack_jpeg,
+    warm_up,
+)
 from tools.fuzz_parts import join_parts, split_parts
 
 GOLDEN = Path(__file__).resolve().parents[1] / "tests" / "golden"
 _DECODERS: tuple[Callable[[bytes], object], ...] = (decode_map, decode_cloud, decode_octree, unpack_jpeg)
+load_kernels = warm_up  # what is being compiled would look like a slow input
 _REQUESTS = (ViewRequest, ImageRequest)
 _S = 1_000_000_000
 

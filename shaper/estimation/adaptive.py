@@ -179,6 +179,7 @@ class AdaptiveEstimator:
         late, quicker = self._silence.on_heard(number, sent_us, promise_ns, now_ns)
         if first:
             self._epoch_ns = self.pacer.not_before_ns = now_ns
+            self._trains.await_answer(0, now_ns)
             return
         if self.state is State.HOLD and self._silent and now_ns > self._hold_from_ns:
             if silence_ns < HICCUP_NS and not late and self._known_bps is not None:
@@ -226,8 +227,9 @@ class AdaptiveEstimator:
             self._enter(Input.UNCHANGED, now_ns)
             self._resume(self._known_bps, now_ns)
             return
-        if self._known_bps is None:
+        if self._known_bps is None or self._trains.is_overdue(now_ns):
             self._trains.interval_ns = max(TRAIN_INTERVAL_NS, self._rtts.shortest_ns // 2)
+        self._trains.await_answer(self._rtts.newest_ns, now_ns)
         known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
         rate_bps = self._dispersion.of_trains(self._epoch_ns)
         still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
@@ -281,6 +283,7 @@ class AdaptiveEstimator:
         self.pacer.not_before_ns = now_ns
         self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
         self._replies_left = REPLIES
+        self._trains.await_answer(self._rtts.newest_ns, now_ns)
 
     def _pace_trains(self, in_train: bool, now_ns: int) -> None:
         """Trains leave whole, and one after the other has been served at the cautious rate."""
@@ -288,7 +291,8 @@ class AdaptiveEstimator:
             self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
         elif in_train and self._probes_left == 0:
             self.pacer.pause(self._empty_ns + self._trains.interval_ns)
-            if self._known_bps is None and not self._hinted:  # wait for an answer, ever longer
+            nothing_known = self._known_bps is None and not self._hinted
+            if nothing_known or self._trains.is_overdue(now_ns):  # wait for an answer, ever longer
                 self._trains.wait_longer()
 
     def _pace_trickle(self, wire_bytes: int, now_ns: int) -> None:

@@ -12,21 +12,30 @@ TRAIN_NOISES = 2.0  # ... and this much per noise of arrivals
 MOST_LONGER, LONGER_NOISE_NS = 5, 1_200_000  # one more per this much noise of arrivals, and so many at most
 TRAIN_INTERVAL_NS = 20 * NS_PER_MS  # at least, from the end of one to the start of the next
 START_INTERVAL_NS, MAX_START_INTERVAL_NS = 300 * NS_PER_MS, 3 * NS_PER_S  # while no train was reported
+ANSWER_NS, ANSWER_RTTS = 1 * NS_PER_S, 2  # trains not reported for so long are lost, or wait in a queue
 DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become quicker is measured by trains
 
 
 class Trains:
     """interval_ns: between those that search for the rate. In run they leave only while it is in doubt."""
 
-    __slots__ = ("_doubt_until_ns", "_sent_ns", "interval_ns")
+    __slots__ = ("_answer_by_ns", "_doubt_until_ns", "_sent_ns", "interval_ns")
 
     def __init__(self, now_ns: int, *, hinted: bool) -> None:
         self.interval_ns = TRAIN_INTERVAL_NS if hinted else START_INTERVAL_NS
-        self._sent_ns = self._doubt_until_ns = now_ns
+        self._sent_ns = self._doubt_until_ns = self._answer_by_ns = now_ns
 
     def wait_longer(self) -> None:
         """No answer has come yet."""
-        self.interval_ns = min(2 * self.interval_ns, MAX_START_INTERVAL_NS)
+        self.interval_ns = min(max(TRAIN_INTERVAL_NS, 2 * self.interval_ns), MAX_START_INTERVAL_NS)
+
+    def await_answer(self, newest_rtt_ns: int, now_ns: int) -> None:
+        """Trains begin to leave, or have been reported: more word should come in time."""
+        self._answer_by_ns = now_ns + ANSWER_NS + ANSWER_RTTS * newest_rtt_ns
+
+    def is_overdue(self, now_ns: int) -> bool:
+        """Whether they may be filling a buffer, or go nowhere."""
+        return now_ns > self._answer_by_ns
 
     def doubt(self, shortest_rtt_ns: int, now_ns: int) -> None:
         """The link may carry more than it did: send trains for a while to see."""

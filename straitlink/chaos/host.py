@@ -8,11 +8,12 @@ from collections.abc import Callable
 
 from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
+from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.events import Delivered, Event, Receipt
 from shaper.handshake import TABLE_HASH_BYTES, Identity, Side
 from shaper.journal import MemoryJournal
 from shaper.link_end import LinkEnd, pump_link
-from shaper.link_estimator import PresetBand, PresetBands
+from shaper.link_estimator import LinkEstimator, PresetBand, PresetBands
 from shaper.link_key import LinkKey
 from shaper.operator_lost import OperatorLostSettings, OperatorWatch
 from shaper.secure_channel import Address, SecureChannel
@@ -41,7 +42,15 @@ class Killed(Exception):
 class ChaosHost:
     """A host whose shaper is killed and started, in front of which the bus and the journal stay."""
 
-    def __init__(self, side: Side, key: LinkKey, configured: dict[Side, Address], rng: random.Random) -> None:
+    def __init__(
+        self,
+        side: Side,
+        key: LinkKey,
+        configured: dict[Side, Address],
+        rng: random.Random,
+        *,
+        adaptive: bool,
+    ) -> None:
         self.side: Side = side
         self.address = configured[side]
         self.clock_offset_ns = rng.randrange(3600 * NS_PER_S)
@@ -54,6 +63,7 @@ class ChaosHost:
         self._delivered: Counter[str] = Counter()  # by the present process
         self._key = key
         self._configured = configured
+        self._adaptive = adaptive  # its estimator knows nothing of the link, or is told two bands
         self._rng = rng
         self._kill_in = 0  # deliveries until the process dies in the middle of one; 0 for not at all
         self._journal = MemoryJournal(rng.randbytes(8), max_messages=MAX_JOURNAL_MESSAGES)
@@ -71,7 +81,9 @@ class ChaosHost:
         identity = Identity(self._journal.begin_life(), self._journal.memory, bytes(TABLE_HASH_BYTES))
         channel = SecureChannel(self.side, [self._key], identity, peer, self._rng.randbytes, now_ns, unix_ns)
         settings = EndpointSettings(RULES, limits=LIMITS, protection_bytes=channel.overhead_bytes)
-        estimator = PresetBands(_BANDS, now_ns=now_ns)
+        estimator: LinkEstimator = (
+            AdaptiveEstimator(now_ns=now_ns) if self._adaptive else PresetBands(_BANDS, now_ns=now_ns)
+        )
         endpoint = Endpoint(settings, estimator, identity.epoch, now_ns, unix_ns, self._journal)
         watch = OperatorWatch(_OPERATOR_LOST, now_ns) if self.side == "robot" else None
         self.link = LinkEnd(endpoint, channel, watch)

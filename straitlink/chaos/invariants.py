@@ -16,7 +16,7 @@ _UNDER_WAY = frozenset({ReceiptStage.QUEUED, ReceiptStage.SENT})
 LIMITS = Limits(max_topics=64, max_message_bytes=100_000, max_reassembly_bytes=400_000)
 MAX_JOURNAL_MESSAGES = 512
 MAX_ELEMENTS = 12_000  # of all containers of a side; 4,000 in the storm ...
-MAX_ELEMENTS_IN_CALM = 1_200  # ... and 800 after it are usual
+MAX_ELEMENTS_IN_CALM = 1_600  # ... and 800 after it are usual, 1,200 with what the estimator looks back on
 _LEDGER_OF_STAGE = {
     ReceiptStage.DELIVERED: "sent",
     ReceiptStage.EXPIRED: "expired",

@@ -17,6 +17,8 @@ from shaper.estimation.flights import Flight, Flights
 from shaper.estimation.silence import Silence
 from shaper.estimation.states import TRANSITIONS, Input, State, follow, mermaid
 from shaper.estimation.virtual_queue import VirtualQueue
+from shaper.link_estimator import PresetBand
+from shaper.path import SentPacket
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -159,6 +161,22 @@ def test_nothing_is_probed_before_the_peer_is_heard() -> None:
     assert estimator.probe_bytes(6 * S) == 0 and estimator.wakeup_at_ns() is None
     estimator.on_heard(0, 123_456, 1 * S, 7 * S)
     assert estimator.probe_bytes(7 * S) > 0 and estimator.confidence == 0.0
+
+
+def test_trains_that_nobody_reports_become_rare() -> None:
+    """Else what a faster band carried would fill the buffer of a slower one for as long as no word comes."""
+    estimator = AdaptiveEstimator(bands=(PresetBand("fast", 10_000_000, 50 * MS),))
+    estimator.on_heard(0, 0, 60 * S, 0)
+    departures: list[int] = []
+    now_ns = 0
+    while now_ns < 20 * S:
+        size_bytes = estimator.probe_bytes(now_ns)
+        estimator.on_sent(SentPacket(len(departures), now_ns, size_bytes, ()), now_ns)
+        estimator.pacer.on_sent(size_bytes, now_ns)
+        departures.append(now_ns)
+        now_ns = estimator.pacer.next_send_at_ns(now_ns + 1)
+    assert sum(at_ns < S for at_ns in departures) > 60, "while an answer may come they are frequent"
+    assert sum(at_ns > 10 * S for at_ns in departures) < 15
 
 
 def test_the_documents_diagram_is_the_table() -> None:
