@@ -25,7 +25,8 @@ test: $(READY)
 	$(BIN)/python -m pytest -m "live and not guest and not exact" -n 2 --dist loadfile $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -m "exact" $(PYTEST_ARGS)
 
-# Twenty times the examples of each property, new ones each time, and 500 missions of chaos: about an hour.
+# Twenty times the examples of each property that names no number, others each time for all, and 500 missions of
+# chaos: about an hour.
 test-thorough: $(READY)
 	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadfile \
 		--hypothesis-profile=thorough --timeout=1200 $(PYTEST_ARGS)

@@ -24,7 +24,10 @@ OUT = Path("out/bench")
 
 def keep(name: str, figures: dict[str, Any]) -> dict[str, Any]:
     """Leave figures as out/bench/NAME.json under where they come from; returns all of it."""
-    document = {**provenance(), **figures}
+    origin = provenance()
+    if clash := origin.keys() & figures.keys():
+        raise ValueError(f"figures of {name}: {', '.join(sorted(clash))} would hide where they come from")
+    document = {**origin, **figures}
     OUT.mkdir(parents=True, exist_ok=True)
     (OUT / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n")
     return document

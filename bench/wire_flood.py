@@ -3,7 +3,7 @@
     python -m bench.wire_flood [--rate 100000] [--seconds 10] [--initiations] [--json]
 
 First the heartbeat alone, then with random datagrams to the operator's shaper's port, or with forged
-initiations that name the link's key. cpu: of that shaper, as a share of one processor. On a machine with
+initiations that name the link's key. cpu_of_a_core: of that shaper. On a machine with
 few processors the flood's own sending is part of the load.
 """
 
@@ -93,7 +93,7 @@ def measure(rate_hz: int, seconds: float, *, initiations: bool) -> dict[str, Any
     p95_calm, p95_flooded = (float(np.percentile(ages, 95)) for ages in (calm, flooded))
     return {
         "kind": "initiations" if initiations else "random",
-        "cpu": round(cpu_s / (seconds + 1), 3),
+        "cpu_of_a_core": round(cpu_s / (seconds + 1), 3),
         "datagrams_per_s": round(sent.value / seconds),
         "heartbeats_calm": len(calm),
         "heartbeats_flooded": len(flooded),

@@ -1,6 +1,7 @@
 """Hypothesis: the same examples on every run, no deadline on a machine that others use.
 
-`--hypothesis-profile=thorough` (`make test-thorough`) draws twenty times as many, and others each time.
+`--hypothesis-profile=thorough` (`make test-thorough`) draws twenty times as many where a test names no
+number, and others each time.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def wire_flood(document: Document) -> Section:
         ["heartbeats, calm and flooded", f"{document['heartbeats_calm']}, {document['heartbeats_flooded']}"],
         ["heartbeat's age p95, calm, ms", f"{1000 * document['age_p95_calm_s']:.1f}"],
         ["heartbeat's age p95, flooded, ms", f"{1000 * document['age_p95_flooded_s']:.1f}"],
-        ["the shaper's CPU meanwhile, of a core", f"{document['cpu']:.2f}"],
+        ["the shaper's CPU meanwhile, of a core", f"{document['cpu_of_a_core']:.2f}"],
     ]
     flag = " --initiations" if document["kind"] == "initiations" else ""
     return Section(
