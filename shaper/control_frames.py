@@ -42,7 +42,9 @@ class ControlFrames:
 
     def append_beat(self, out: bytearray, incoming: Incoming, state: LinkState, now_ns: int) -> None:
         """Append what our direction is taken for, and counters that have changed, some at a time."""
-        append_estimate(out, self.estimates.take(state, now_ns))
+        estimate = self.estimates.take(state, now_ns)
+        if estimate is not None:
+            append_estimate(out, estimate)
         for ledger in self.ledgers.take(self._outgoing, incoming):
             append_ledger(out, ledger)
 

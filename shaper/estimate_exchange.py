@@ -26,14 +26,16 @@ class EstimateExchange:
         self.theirs, self._band = None, ""
         self._told_band, self._told = "", 0
 
-    def take(self, state: LinkState, now_ns: int) -> EstimateFrame:
-        """What to tell now of our direction."""
+    def take(self, state: LinkState, now_ns: int) -> EstimateFrame | None:
+        """What to tell now of our direction; that it is held, once: a dark link may keep it all."""
         if self.theirs is not None and now_ns - self.theirs.told_ns > STALE_NS:
             self.theirs = None
         if state.band != self._told_band:
             self._told_band, self._told = state.band, 0
         named = self._told < _NAMED_BEATS or self._told % _NAME_EVERY == 0
         self._told += 1
+        if state.holding and self._told > 1:
+            return None
         return EstimateFrame(
             min(state.rate_bps, MAX_VALUE),
             min(max(0, state.queue_ns) // _NS_PER_MS, MAX_VALUE),

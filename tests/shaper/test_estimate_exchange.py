@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,10 +34,20 @@ def test_it_takes_less_than_a_sixth_of_a_percent_of_the_thin_band() -> None:
     told_bytes = 0
     for second in range(100):
         out = bytearray()
-        append_estimate(out, exchange.take(state("100 kbit/s 500 ms"), second * S))
+        estimate = exchange.take(state("100 kbit/s 500 ms"), second * S)
+        assert estimate is not None
+        append_estimate(out, estimate)
         assert len(out) <= 28
         told_bytes += len(out)
     assert told_bytes * 8 / 100 < 100_000 / 600
+
+
+def test_that_the_link_is_held_is_told_once() -> None:
+    exchange = EstimateExchange()
+    held = replace(state("hold"), holding=True)
+    told = [exchange.take(held, second * S) is not None for second in range(33)]
+    assert told == [True] + 32 * [False]
+    assert exchange.take(state(), 33 * S) is not None
 
 
 def test_a_peer_that_is_silent_tells_nothing() -> None:
