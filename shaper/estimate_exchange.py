@@ -9,6 +9,7 @@ from shaper.varint import MAX_VALUE
 STALE_NS = 5_000_000_000  # what was told longer ago is not shown as if it were so
 _NAMED_BEATS = 3  # a band's name goes out so often when it is new, as datagrams get lost, ...
 _NAME_EVERY = 8  # ... and with every so many later beats
+_LEAST_CONFIDENCE = 0.5
 _NS_PER_MS = 1_000_000
 
 
@@ -27,14 +28,14 @@ class EstimateExchange:
         self._told_band, self._told = "", 0
 
     def take(self, state: LinkState, now_ns: int) -> EstimateFrame | None:
-        """What to tell now of our direction; that it is held, once: a dark link may keep it all."""
+        """What to tell now of our direction; that nothing is known, once: a dark link may keep it all."""
         if self.theirs is not None and now_ns - self.theirs.told_ns > STALE_NS:
             self.theirs = None
         if state.band != self._told_band:
             self._told_band, self._told = state.band, 0
         named = self._told < _NAMED_BEATS or self._told % _NAME_EVERY == 0
         self._told += 1
-        if state.holding and self._told > 1:
+        if self._told > 1 and (state.holding or state.confidence < _LEAST_CONFIDENCE):
             return None
         return EstimateFrame(
             min(state.rate_bps, MAX_VALUE),

@@ -8,9 +8,9 @@ from __future__ import annotations
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 
-TRICKLE_BYTES = 72  # on the wire: large enough to be timed
+TRICKLE_BYTES = 54  # on the wire: large enough to be timed
 TRICKLE_NS = 100 * NS_PER_MS  # a datagram at least this often is not needed ...
-TRICKLE_SHARE = 0.02  # ... and at most this share of the rate is taken, as a link may hold the queue
+TRICKLE_SHARE = 0.015  # ... and at most this share of the rate is taken, as a link may hold the queue
 TRICKLE_SLOWING = 64  # its interval is at least the silence over this: half a minute held costs 0.2 s
 MAX_TRICKLE_NS = 200 * NS_PER_MS
 URGENT_SLOWING = 8  # and that of heartbeats the silence over this, at most ...
