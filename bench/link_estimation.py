@@ -13,8 +13,10 @@ import json
 import math
 import multiprocessing
 import time
+from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -27,6 +29,7 @@ from bench.link_score import Score, judge
 from bench.machine import provenance
 from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.estimation.ideas import Ideas
+from shaper.estimation.predicting import PredictingEstimator
 from shaper.link_estimator import EstimatorFactory, PresetBands
 from shaper.trace_records import Record
 from straitlink.mission import MissionSettings, load_named_or_file, run_mission
@@ -55,6 +58,7 @@ class Figures:
     up_s: float
     back_s: float
     peak_over_bound: float
+    foreseen_peak_ms: float
     worst_window: float
     payload_ratio: float
     cpu_s: float
@@ -78,6 +82,7 @@ def estimators() -> dict[str, EstimatorFactory]:
     return {
         "adaptive": lambda bands, now_ns: AdaptiveEstimator(now_ns=now_ns),
         **{f"adaptive-{idea.name}": _without(idea.name) for idea in fields(Ideas)},
+        "predicting": lambda bands, now_ns: PredictingEstimator(AdaptiveEstimator(now_ns=now_ns)),
         "presets": lambda bands, now_ns: PresetBands(bands, now_ns=now_ns),
         "trials rule": TrialsRule,
         "gradient": DelayGradient,
@@ -137,10 +142,26 @@ def _figures(
         up_s=_middle(c.reaction_s for c in changes if c.new_bps > c.old_bps),
         back_s=max((r.back_s for s in scores for r in s.recoveries), default=math.nan),
         peak_over_bound=max(peaks, default=math.nan),
+        foreseen_peak_ms=max(
+            (1e3 * peak for score in scores for peak in _foreseeable(score)), default=math.nan
+        ),
         worst_window=min(s.worst_window for s in scores),
         payload_ratio=payload_ratio,
         cpu_s=cpu_s,
     )
+
+
+def _foreseeable(score: Score) -> list[float]:
+    """Peaks (s) after falls that could be foreseen: three of the same kind came before, evenly spaced."""
+    peaks, times_s = [], defaultdict[tuple[int, int], list[float]](list)
+    for change in score.changes:
+        if change.new_bps < change.old_bps:
+            before = times_s[change.old_bps, change.new_bps]
+            gaps_s = [later - earlier for earlier, later in pairwise([*before[-3:], change.at_s])]
+            if len(gaps_s) == 3 and max(gaps_s) - min(gaps_s) < 0.1:
+                peaks.append(change.peak_s)
+            before.append(change.at_s)
+    return peaks
 
 
 def _middle(values: Iterable[float]) -> float:
@@ -191,6 +212,7 @@ COLUMNS = (
     ("up s", "up_s", 1, 2),
     ("back s", "back_s", 1, 2),
     ("peak/bound", "peak_over_bound", 1, 2),
+    ("foreseen", "foreseen_peak_ms", 1, 0),
     ("10 s %", "worst_window", 100, 0),
     ("payload %", "payload_ratio", 100, 1),
     ("CPU s", "cpu_s", 1, 1),

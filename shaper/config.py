@@ -43,7 +43,7 @@ class ShaperConfig:
     listen, peer: UDP (host, port) of this side and of the other. metrics: where Prometheus may ask.
     key_files: of link keys, the first to start with. open_link: no keys are wanted, loopback only.
     journal: where reliable messages are on record; None for nowhere. operator_lost: robot's side only.
-    carousel: a second link without a way back.
+    carousel: a second link without a way back. predict: slow before falls that come at regular times.
     resolved: the configuration with all defaults filled in, to be saved beside a result.
     """
 
@@ -55,6 +55,7 @@ class ShaperConfig:
     bands: tuple[PresetBand, ...]
     pace_ratio: float
     estimator: Literal["presets", "adaptive"] = "adaptive"
+    predict: bool = False
     metrics: tuple[str, int] | None = None
     key_files: tuple[Path, ...] = ()
     open_link: bool = False
@@ -225,6 +226,8 @@ def _from_table(table: ShaperTable, path: Path) -> ShaperConfig:
         raise ConfigError(f"{path}: operator_lost: expected on the robot's side only, not the operator's")
     carousel = None if table.carousel is None else carousel_config(table.carousel, link.side, str(path))
     _check_protection(link, carousel, path)
+    if link.predict and link.estimator == "presets":
+        raise ConfigError(f'{path}: link.predict = true: expected link.estimator = "adaptive" with it')
     if link.estimator == "presets" and not link.bands:
         raise ConfigError(f'{path}: link.estimator = "presets": expected at least one [[link.bands]]')
     return ShaperConfig(
@@ -238,6 +241,7 @@ def _from_table(table: ShaperTable, path: Path) -> ShaperConfig:
         ),
         pace_ratio=link.pace_ratio,
         estimator=link.estimator,
+        predict=link.predict,
         metrics=None if table.metrics is None else parse_address(table.metrics.listen),
         key_files=tuple(path.parent / name for name in link.keys),
         open_link=link.open,

@@ -95,6 +95,7 @@ class LinkTable(_Table):
     keys: list[str] = []
     open: bool = False
     journal: Annotated[str, Field(min_length=1)] | None = None
+    predict: bool = False
 
     @field_validator("listen", "peer")
     @classmethod

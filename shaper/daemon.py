@@ -20,6 +20,7 @@ from shaper.config import ShaperConfig
 from shaper.doorstep import Doorstep
 from shaper.endpoint import Endpoint
 from shaper.estimation.adaptive import AdaptiveEstimator
+from shaper.estimation.predicting import PredictingEstimator
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
 from shaper.flood_gate import FloodGate
 from shaper.frames import IP_UDP_BYTES
@@ -375,7 +376,8 @@ class Daemon:
 def _make_estimator(config: ShaperConfig, now_ns: int) -> LinkEstimator:
     max_wire_bytes = config.endpoint.max_datagram_bytes + IP_UDP_BYTES
     if config.estimator == "adaptive":
-        return AdaptiveEstimator(config.bands, now_ns, max_wire_bytes)
+        adaptive = AdaptiveEstimator(config.bands, now_ns, max_wire_bytes)
+        return PredictingEstimator(adaptive, max_wire_bytes) if config.predict else adaptive
     return PresetBands(config.bands, config.pace_ratio, max_wire_bytes, now_ns)
 
 

@@ -24,7 +24,8 @@ def mission(
     minutes: Annotated[float, typer.Option(min=0.01, max=100_000, help="Virtual time.")] = 30.0,
     seed: Annotated[int, typer.Option(help="Same seed, same result to the byte.")] = 1,
     estimator: Annotated[
-        Literal["presets", "adaptive"], typer.Option(help="What the link shows, or the profile's bands.")
+        Literal["presets", "adaptive", "predicting"],
+        typer.Option(help="The profile's bands; what the link shows; the same, foreseeing regular falls."),
     ] = "adaptive",
     fast: Annotated[
         str | None, typer.Option(help="Profile of a second link, one way, with a carousel: finals-fast.")
@@ -37,7 +38,7 @@ def mission(
     from netem_scripts.profiles import load_profile
     from straitlink.mission import MissionSettings, load_named_or_file
     from straitlink.mission.carousel import CarouselPlan
-    from straitlink.mission.mission import adaptive, presets
+    from straitlink.mission.mission import adaptive, predicting, presets
     from straitlink.mission.output import print_result, run_and_save
 
     settings = MissionSettings(
@@ -45,7 +46,7 @@ def mission(
         load_named_or_file(load),
         round(minutes * 60e9),
         seed,
-        estimator=adaptive if estimator == "adaptive" else presets,
+        estimator={"presets": presets, "adaptive": adaptive, "predicting": predicting}[estimator],
         carousel=None if fast is None else CarouselPlan(load_profile(fast), fast_rate),
     )
     started_s = time.perf_counter()

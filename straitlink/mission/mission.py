@@ -17,6 +17,7 @@ from shaper.carousel_wire import LIFE_BITS
 from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
 from shaper.estimation.adaptive import AdaptiveEstimator
+from shaper.estimation.predicting import PredictingEstimator
 from shaper.events import Delivered, Event
 from shaper.frames import EPOCH_BITS, IP_UDP_BYTES
 from shaper.handshake import MEMORY_BYTES, TABLE_HASH_BYTES, Identity, Side, other_side
@@ -51,6 +52,11 @@ TraceWriter = Callable[[str, Record], None]
 def adaptive(bands: Sequence[PresetBand], now_ns: int) -> LinkEstimator:
     """The estimator that needs no presets."""
     return AdaptiveEstimator(bands, now_ns)
+
+
+def predicting(bands: Sequence[PresetBand], now_ns: int) -> LinkEstimator:
+    """The same, slowed just before falls that come at regular times."""
+    return PredictingEstimator(AdaptiveEstimator(bands, now_ns))
 
 
 def presets(bands: Sequence[PresetBand], now_ns: int) -> LinkEstimator:

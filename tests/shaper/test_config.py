@@ -367,3 +367,12 @@ def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
 )
 def test_addresses_are_host_and_port(text: str, address: tuple[str, int]) -> None:
     assert parse_address(text) == address
+
+
+def test_prediction_goes_with_the_adaptive_estimator(tmp_path: Path) -> None:
+    text = MINIMAL.replace(
+        'side = "robot"', 'side = "robot"\nopen = true\nestimator = "adaptive"\npredict = true'
+    )
+    assert load_config(write(tmp_path, text)).predict
+    wrong = error_of(tmp_path, text.replace('"adaptive"', '"presets"'))
+    assert wrong.endswith('link.predict = true: expected link.estimator = "adaptive" with it')
