@@ -227,6 +227,11 @@ class Endpoint:
         return self._path.next_number - 1
 
     @property
+    def fills_path_mtu(self) -> bool:
+        """Whether datagrams are as large as is believed to pass; on a thin link they are smaller anyway."""
+        return self._estimator.datagram_bytes - IP_UDP_BYTES >= self.path_mtu.size_bytes
+
+    @property
     def holding(self) -> bool:
         """Whether only classes with always_send may leave: no peer heard yet, or enough in flight."""
         return self._incoming is None or self._path.bytes_in_flight >= self._estimator.in_flight_limit_bytes

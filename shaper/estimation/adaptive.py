@@ -311,7 +311,8 @@ class AdaptiveEstimator:
         self._hold_from_ns = now_ns
         self._silent = why is Input.SILENCE
         self._silence.deadline_ns = _NEVER_NS
-        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
+        if self._flights.count_since(self._epoch_ns) < TRAIN_DATAGRAMS:  # else what has left is a train
+            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
         self.pacer.allowance_ns = _NEVER_NS
         self.pacer.not_before_ns = now_ns
 

@@ -26,6 +26,7 @@ _RISE_FLOOR_NS = 20_000  # a clock's grain
 _TRAIN_GAP = 0.5  # of what a datagram takes at the known rate: so close together leave trains
 _TESTED_PAIRS = 60  # as far back as a fall or a rise may show
 _EXPANDED = 0.8  # gap over spread, below which the second datagram has surely waited
+_APART = 2.0  # of what a datagram takes: what leaves so far apart need not queue
 _TRAIN_EXPANDED = 0.6
 _CLUMPING_NS, _CLUMPED_PAIRS = 2_000_000, 6  # noise that makes whole trains arrive at once
 _STILL_RATIO = 0.8
@@ -108,12 +109,13 @@ class Dispersion:
         if not self._widens:
             return None
         self._widens = False
+        apart_ns = _APART * 1e9 / rate_bps
         floor_ns = _NOISE_FACTOR * self.noise_ns + _FALL_FLOOR_NS
         bits = spread_ns = gap_ns = count = 0
         slowest: Pair | None = None
         for pair in self._newest():
-            if not pair.queued:
-                continue
+            if not pair.queued or pair.gap_ns > max(apart_ns * pair.bits, _EXPANDED * pair.spread_ns):
+                continue  # those that left far apart arrive so on an empty link
             bits, spread_ns, gap_ns = bits + pair.bits, spread_ns + pair.spread_ns, gap_ns + pair.gap_ns
             count += 1
             if slowest is None or pair.spread_ns > slowest.spread_ns:
