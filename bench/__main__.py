@@ -17,6 +17,7 @@ Command = tuple[str, ...]
 COMPUTING: tuple[Command, ...] = (
     ("bench.mission",),
     ("bench.trials_rule", "--processes", "1"),
+    ("bench.perception_accuracy",),
     ("bench.scale",),
     ("bench.soak",),
     (

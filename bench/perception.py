@@ -1,10 +1,9 @@
-"""Views of two minutes of lidar: `python -m bench.perception [--json] [--runs 15] [--accuracy]`.
+"""Views of two minutes of lidar: `python -m bench.perception [--json] [--runs 15]`.
 
 The synthetic mission's scanner walks through its scene for 120 s: 4,800 scans of 1,081 beams. Where a beam
 met nothing, a wall 8 to 12 m away is put, so that all 5.2 million beams are points. Measured in this process
 on one core: insertion (placing a scan, with the pose at each beam's time), rendering with encoding, memory,
-and how 1,000 random requests keep to their budgets. --accuracy judges whole views of sixteen seeds against
-the exact truth instead; it takes minutes.
+and how 1,000 random requests keep to their budgets. --accuracy is `python -m bench.perception_accuracy`.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import argparse
 import json
 import os
 import statistics
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -21,7 +21,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.machine import keep
 from messages.proto.straitlink.view_pb2 import (
@@ -31,25 +30,20 @@ from messages.proto.straitlink.view_pb2 import (
     View,
     ViewRequest,
 )
-from perception_server.answer import answer, look
-from perception_server.decode import DecodedView, decode_view, grid_of
+from perception_server.answer import answer
+from perception_server.decode import decode_view
 from perception_server.frames import FloatArray, StampedTransform, compose, inverse_poses
-from perception_server.height_map import Grid
 from perception_server.history import History, HistorySnapshot
 from perception_server.scan_geometry import RawScan, ScanPlacement
 from perception_server.view_presets import VIEW_PRESETS
-from perception_server.view_wish import view_wish
 from straitlink.synthetic.frames import map_from_head, map_from_lidar
-from straitlink.synthetic.lidar import BEAMS, FIELD_OF_VIEW_RAD, SCAN_PERIOD_S, BoxField, Rays, Scanner
+from straitlink.synthetic.lidar import BEAMS, FIELD_OF_VIEW_RAD, SCAN_PERIOD_S, Scanner
 from straitlink.synthetic.rigid import quaternion_from_rotation
 from straitlink.synthetic.scene import build_scene
 from straitlink.synthetic.settings import START_NS
 
 DURATION_S = 120.0
-SEEDS = tuple(range(1, 17))
-_SWEEP_S = 6.2
-_MET_M = 0.05  # a return within this of a cell's true surface is one of it
-_PLENTY = 1 << 20
+PLENTY = 1 << 20  # bytes: no budget
 _POSE_HZ = 1000 / 3
 _BEAM_NS = SCAN_PERIOD_S / 1440 * 1e9
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
@@ -79,27 +73,6 @@ class Figures:
     history_mb: float
     peak_mb: float
     budget: dict[str, int]
-
-
-@dataclass(frozen=True, slots=True)
-class Accuracy:
-    """One view of one seed against the truth, on cells whose truth varies by less than 3 cm.
-
-    rmse_met_mm: of those whose true surface one of their own returns met; unmet: how many others there are,
-    which show what was seen beneath it. edges_within: share of the other cells between their true bounds
-    +-3 cm. shown: share of the cells with returns that are no holes.
-    """
-
-    view: str
-    seed: int
-    cells: int
-    rmse_mm: float
-    p95_mm: float
-    beyond_100_mm: int
-    rmse_met_mm: float
-    unmet: int
-    edges_within: float
-    shown: float
 
 
 def synthetic_scans(seed: int, start_s: float, duration_s: float, fill: bool) -> list[RawScan]:
@@ -177,8 +150,8 @@ def measure(runs: int, pairs: int) -> Figures:
     ):
         request = ViewRequest(preset=preset)
         request.MergeFrom(whole)
-        sizes[preset] = answer(request, snapshot, _PLENTY).ByteSize()  # and compiles
-        views[preset] = _timed(lambda r=request: answer(r, snapshot, _PLENTY), runs)  # type: ignore[misc]
+        sizes[preset] = answer(request, snapshot, PLENTY).ByteSize()  # and compiles
+        views[preset] = _timed(lambda r=request: answer(r, snapshot, PLENTY), runs)  # type: ignore[misc]
     return Figures(
         len(scans),
         sum(view.points for view in snapshot.scans),
@@ -214,121 +187,6 @@ def _outcome(view: View, budget_bytes: int) -> str:
     if view.status == VIEW_STATUS_DOES_NOT_FIT and view.smallest_bytes > budget_bytes:
         return "does not fit, said so"
     return "no data, said so" if view.status == VIEW_STATUS_NO_DATA else f"broken: {view.error}"
-
-
-def accuracy(seed: int) -> list[Accuracy]:
-    """The height map and the range map of one sweep against the scene."""
-    start_s = 24.0
-    history, _ = fill_history(
-        synthetic_scans(seed, start_s, _SWEEP_S, fill=False), poses(seed, start_s, _SWEEP_S)
-    )
-    snapshot = history.snapshot()
-    return [_height_accuracy(snapshot, seed), _range_accuracy(snapshot, seed)]
-
-
-def _height_accuracy(snapshot: HistorySnapshot, seed: int) -> Accuracy:
-    request = ViewRequest(preset="height_map_scene")
-    view = decode_view(answer(request, snapshot, _PLENTY).SerializeToString())
-    low, high = height_bounds(view, seed)
-    wish = view_wish(request)
-    returns, met = _returns(look(wish, snapshot).points.points_m, grid_of(view), low, high)
-    assert view.values is not None
-    judged = returns & (high < wish.high_m[2])
-    values = view.values[judged].astype(np.float64)
-    return _judged("height_map_scene", seed, values, low[judged], high[judged], met[judged])
-
-
-def _returns(
-    points_m: NDArray[np.float32], grid: Grid, low: FloatArray, high: FloatArray
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which cells (rows, columns) have returns, and which have one of their true surface."""
-    column, row = (
-        np.floor((points_m[:, axis] - first) / grid.resolution_m).astype(int)
-        for axis, first in enumerate((grid.min_x_m, grid.min_y_m))
-    )
-    inside = (column >= 0) & (column < grid.columns) & (row >= 0) & (row < grid.rows)
-    column, row, z = column[inside], row[inside], points_m[inside, 2]
-    returns, met = np.zeros(low.shape, np.bool_), np.zeros(low.shape, np.bool_)
-    returns[row, column] = True
-    on_it = (z > low[row, column] - _MET_M) & (z < high[row, column] + _MET_M)
-    met[row[on_it], column[on_it]] = True
-    return returns, met
-
-
-def height_bounds(view: DecodedView, seed: int) -> tuple[FloatArray, FloatArray]:
-    """The scene's lowest and highest point in each cell of a height map, by nine rays from above.
-
-    (rows, columns) each, metres along the view's z; the view's x and y must be level.
-    """
-    grid = grid_of(view)
-    x, y = np.meshgrid(np.arange(grid.columns), np.arange(grid.rows))
-    heights = []
-    for across in (0.01, 0.5, 0.99):
-        for along in (0.01, 0.5, 0.99):
-            in_x_m = grid.min_x_m + (x + across) * grid.resolution_m
-            in_y_m = grid.min_y_m + (y + along) * grid.resolution_m
-            origins = np.stack([in_x_m, in_y_m, np.zeros(x.shape)], axis=-1).reshape(-1, 3)
-            origins = origins @ view.world_from_view[:3, :3].T + view.world_from_view[:3, 3]
-            origins[:, 2] = 10.0
-            down = np.broadcast_to([0.0, 0.0, -1.0], origins.shape)
-            heights.append(10.0 - _truth(seed, origins, down).reshape(x.shape) - view.world_from_view[2, 3])
-    return np.min(heights, axis=0), np.max(heights, axis=0)
-
-
-def _range_accuracy(snapshot: HistorySnapshot, seed: int) -> Accuracy:
-    request = ViewRequest(preset="range_map_workspace", max_x_m=6.0, max_range_m=10.0, max_error_m=0.005)
-    view = decode_view(answer(request, snapshot, _PLENTY).SerializeToString())
-    wish = view_wish(request)
-    size = wish.projection
-    fine = type(size)(
-        size.spherical, 3 * size.columns, 3 * size.rows, size.horizontal_fov_rad, size.vertical_fov_rad
-    )
-    rays = fine.rays().reshape(-1, 3)
-    length = np.linalg.norm(rays, axis=1)
-    directions = (rays / length[:, None]) @ view.world_from_view[:3, :3].T
-    origins = np.broadcast_to(view.world_from_view[:3, 3], directions.shape)
-    depth = (_truth(seed, origins, directions) / length).reshape(size.rows, 3, size.columns, 3)
-    low, high = depth.min(axis=(1, 3)), depth.max(axis=(1, 3))
-    assert view.values is not None
-    with np.errstate(invalid="ignore"):
-        shown = size.rays() * high[..., None]
-        inside = ((shown > wish.low_m) & (shown < wish.high_m)).all(axis=2)
-    judged = np.isfinite(view.values) & inside
-    return _judged(
-        "range_map_workspace", seed, view.values[judged], low[judged], high[judged], inside[judged]
-    )
-
-
-def _judged(
-    name: str, seed: int, values: FloatArray, low: FloatArray, high: FloatArray, met: NDArray[np.bool_]
-) -> Accuracy:
-    shown = np.isfinite(values)
-    flat, edge = shown & (high - low < 0.03), shown & (high - low >= 0.03)
-    off = np.abs(values - (low + high) / 2)
-    beyond = np.maximum(low - values, values - high)[edge]
-    return Accuracy(
-        name,
-        seed,
-        int(flat.sum()),
-        _rms_mm(off[flat]),
-        round(1e3 * float(np.quantile(off[flat], 0.95)), 1),
-        int((off[flat] > 0.1).sum()),
-        _rms_mm(off[flat & met]),
-        int((flat & ~met).sum()),
-        round(float(np.mean(beyond <= 0.03)), 4),
-        round(float(shown.mean()), 4),
-    )
-
-
-def _rms_mm(off_m: FloatArray) -> float:
-    return round(1e3 * float(np.sqrt(np.mean(off_m**2))), 1)
-
-
-def _truth(seed: int, origins_m: FloatArray, directions: FloatArray) -> FloatArray:
-    field = BoxField(build_scene(seed))
-    starts = range(0, len(origins_m), 20_000)
-    parts = [field.cast(Rays(origins_m[i : i + 20_000], directions[i : i + 20_000]))[0] for i in starts]
-    return np.concatenate(parts)
 
 
 def _rows(matrices: FloatArray) -> FloatArray:
@@ -368,20 +226,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=15, help="of each view")
     parser.add_argument("--pairs", type=int, default=1000, help="random requests and budgets")
-    parser.add_argument("--accuracy", action="store_true", help="against the truth, instead of speed")
+    parser.add_argument("--accuracy", action="store_true", help="run bench.perception_accuracy instead")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    found: object
     if arguments.accuracy:
-        found = [asdict(each) for seed in SEEDS for each in accuracy(seed)]
-    else:
-        found = asdict(measure(arguments.runs, arguments.pairs))
-        keep("perception", found)
+        sys.exit(subprocess.call([sys.executable, "-m", "bench.perception_accuracy"]))
+    found = asdict(measure(arguments.runs, arguments.pairs))
+    keep("perception", found)
     if arguments.json:
         json.dump(found, sys.stdout, indent=1)
         return
-    for line in found if isinstance(found, list) else found.items():
-        print(*(line.values() if isinstance(line, dict) else line))
+    for line in found.items():
+        print(*line)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.perception import fill_history, height_bounds, poses, synthetic_scans
+from bench.perception import fill_history, poses, synthetic_scans
+from bench.perception_accuracy import height_bounds
 from bench.view_rows import Coded, Row, coded, row
 from messages.proto.straitlink.view_pb2 import ViewRequest
 from perception_server.answer import look
@@ -19,7 +20,7 @@ from perception_server.frames import FloatArray
 from perception_server.height_map import render_height_map
 from perception_server.history import HistorySnapshot
 from perception_server.view_codec import decode_map, encode_map
-from perception_server.view_encoding import encode_view
+from perception_server.view_encoding import Drawing, encode_view
 from perception_server.view_wish import view_wish
 
 SEEDS = (1, 2, 3, 4, 5)
@@ -57,7 +58,7 @@ def _height_map_and_truth(seed: int) -> tuple[NDArray[np.float32], FloatArray, F
     snapshot: HistorySnapshot = fill_history(scans, poses(seed, START_S, SWEEP_S))[0].snapshot()
     wish = view_wish(ViewRequest(preset="height_map_scene"))
     scene = look(wish, snapshot)
-    view = decode_view_message(encode_view(scene.header, wish, scene.points, wish.finest))
+    view = decode_view_message(encode_view(scene.header, wish, Drawing(wish, scene.points), wish.finest))
     low, high = height_bounds(view, seed)
     shown = np.where(high < wish.high_m[2], high, np.nan)  # what hangs above is cut off by the request
     grid = wish.grid(wish.finest.resolution)

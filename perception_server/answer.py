@@ -23,7 +23,7 @@ from perception_server.point_ring import MIXED, ON_ROBOT, BlockView
 from perception_server.region import Region, ViewPoints, Window, collect
 from perception_server.scan_geometry import ScanPlacement
 from perception_server.sweep import latest_sweep
-from perception_server.view_encoding import encode_view, has_draft
+from perception_server.view_encoding import Drawing, encode_view, has_draft
 from perception_server.view_wish import Fidelity, ViewWish, view_wish
 
 _REJECTED = {
@@ -50,11 +50,13 @@ def answer(request: ViewRequest, history: HistorySnapshot, budget_bytes: int) ->
     except (NoDataError, PoseError) as error:
         return _without_picture(request, VIEW_STATUS_NO_DATA, error)
 
+    drawing = Drawing(wish, scene.points)
+
     def encode(fidelity: Fidelity) -> View:
-        return encode_view(scene.header, wish, scene.points, fidelity)
+        return encode_view(scene.header, wish, drawing, fidelity)
 
     def draft(fidelity: Fidelity) -> View:
-        return encode_view(scene.header, wish, scene.points, fidelity, draft=True)
+        return encode_view(scene.header, wish, drawing, fidelity, draft=True)
 
     faster = draft if has_draft(wish) else None
     return fit(encode, wish.finest, wish.worst, budget_bytes, request.request_id, faster)

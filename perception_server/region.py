@@ -136,30 +136,34 @@ def _collect_block(
     scans: which; origins (len(scans), 3): their origins in the view's frame. range2 (2,): bounds squared.
     stops (len(scans),): filled with the count after each.
     """
-    r = rotation
-    all_ranges = range2[0] <= 0 and range2[1] == np.inf
+    # Scalars: from arrays they would be read anew for each point, as far as the compiler can tell.
+    xx, xy, xz = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    yx, yy, yz = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    least2, most2 = range2[0], range2[1]
+    all_ranges = least2 <= 0 and most2 == np.inf
     for s in range(scans.size):
         scan = scans[s]
         ox, oy, oz = origins[s, 0], origins[s, 1], origins[s, 2]
         for run in range(first_run[scan], first_run[scan + 1]):
-            place = _place_run(run_bounds[run], r, ox, oy, oz, planes)
+            place = _place_run(run_bounds[run], rotation, ox, oy, oz, planes)
             if place == OUTSIDE:
                 continue
             begin = first_point[scan] + (run - first_run[scan]) * RUN_POINTS
             for i in range(begin, min(begin + RUN_POINTS, first_point[scan + 1])):
-                if flags[i] & rejected:
-                    continue
                 px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+                x = xx * px + xy * py + xz * pz + ox
+                y = yx * px + yy * py + yz * pz + oy
+                z = zx * px + zy * py + zz * pz + oz
+                # Written first and kept after: a branch that depends on each point costs more.
+                out[count, 0], out[count, 1], out[count, 2] = x, y, z
+                kept = (flags[i] & rejected) == 0
                 if not all_ranges:
                     squared = px * px + py * py + pz * pz
-                    if squared < range2[0] or squared > range2[1]:
-                        continue
-                x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz + ox
-                y = r[1, 0] * px + r[1, 1] * py + r[1, 2] * pz + oy
-                z = r[2, 0] * px + r[2, 1] * py + r[2, 2] * pz + oz
-                if place == INSIDE or _is_inside(x, y, z, planes):
-                    out[count, 0], out[count, 1], out[count, 2] = x, y, z
-                    count += 1
+                    kept &= (squared >= least2) & (squared <= most2)
+                if place == CROSSING:
+                    kept &= _is_inside(x, y, z, planes)
+                count += kept
         stops[s] = count
     return count
 

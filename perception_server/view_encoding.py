@@ -31,8 +31,32 @@ def has_draft(wish: ViewWish) -> bool:
     )
 
 
+class Drawing:
+    """A view's points as they are drawn at a resolution; the search for a budget asks for it again."""
+
+    def __init__(self, wish: ViewWish, points: ViewPoints) -> None:
+        self._wish = wish
+        self._points = points
+        self._last: tuple[float, NDArray[np.float32]] | None = None
+
+    def at(self, resolution: float) -> NDArray[np.float32]:
+        """A map (rows, columns), or one point of each voxel (N, 3). Raises EncodeError for too many."""
+        if self._last is None or self._last[0] != resolution:
+            self._last = resolution, self._draw(resolution)
+        return self._last[1]
+
+    def _draw(self, resolution: float) -> NDArray[np.float32]:
+        points, wish = self._points, self._wish
+        if wish.form == ViewRequest.FORMAT_HEIGHT_MAP:
+            grid = wish.grid(resolution)
+            return render_height_map(points.points_m, grid, points.origins_m, points.stops)
+        if wish.form == ViewRequest.FORMAT_RANGE_MAP:
+            return render_range_map(points.points_m, wish.shrunk_projection(resolution))
+        return resample(points.points_m, resolution)  # of octrees too: the coder would sort them all
+
+
 def encode_view(
-    header: View, wish: ViewWish, points: ViewPoints, fidelity: Fidelity, draft: bool = False
+    header: View, wish: ViewWish, drawing: Drawing, fidelity: Fidelity, draft: bool = False
 ) -> View:
     """One view. Raises view_codec.EncodeError for more than a codec holds.
 
@@ -42,32 +66,28 @@ def encode_view(
     view.CopyFrom(header)
     view.status = VIEW_STATUS_RENDERED
     view.coarsened = fidelity != wish.finest
+    drawn = drawing.at(fidelity.resolution)
     if wish.form == ViewRequest.FORMAT_HEIGHT_MAP:
         grid = wish.grid(fidelity.resolution)
         view.min_x_m, view.min_y_m, view.resolution_m = grid.min_x_m, grid.min_y_m, grid.resolution_m
-        _put_map(
-            view, render_height_map(points.points_m, grid, points.origins_m, points.stops), wish, fidelity
-        )
+        _put_map(view, drawn, wish, fidelity)
     elif wish.form == ViewRequest.FORMAT_RANGE_MAP:
         projection = wish.shrunk_projection(fidelity.resolution)
         view.horizontal_fov_rad = projection.horizontal_fov_rad
         view.vertical_fov_rad = projection.vertical_fov_rad
-        _put_map(view, render_range_map(points.points_m, projection), wish, fidelity)
+        _put_map(view, drawn, wish, fidelity)
     elif wish.form == ViewRequest.FORMAT_CLOUD:
-        kept = resample(points.points_m, fidelity.resolution)
         codec = CodecId.CLOUD_ZSTD if draft else None
         if wish.codec == ViewRequest.CODEC_ZLIB:
             codec = CodecId.CLOUD_ZLIB
-        view.data = encode_cloud(kept, max_error_m=fidelity.max_error_m, codec=codec)
+        view.data = encode_cloud(drawn, max_error_m=fidelity.max_error_m, codec=codec)
         lattice, view.max_error_m = unpack_lattice(view.data)
         view.resolution_m, view.step_m = fidelity.resolution, lattice.step_m
     else:
         view.resolution_m = fidelity.resolution
         view.max_error_m = fidelity.resolution * 3**0.5 / 2  # from a leaf's middle to its corner
-        one_each = resample(points.points_m, fidelity.resolution)  # the coder would sort them all
-        view.data = encode_octree(
-            one_each, leaf_m=fidelity.resolution, codec=CodecId.OCTREE_ZSTD if draft else None
-        )
+        codec = CodecId.OCTREE_ZSTD if draft else None
+        view.data = encode_octree(drawn, leaf_m=fidelity.resolution, codec=codec)
     return view
 
 

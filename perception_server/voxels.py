@@ -42,32 +42,40 @@ def _number_voxels(
     """
     count = 0
     mask = len(slots) - 1
+    per_m = 1.0 / voxel
+    x = y = z = np.nan  # the voxel of the point before: a beam's neighbour is often in the same one
+    number = np.int32(-1)
     for i in range(len(points)):
-        x = _key(points[i, 0], voxel)
-        y = _key(points[i, 1], voxel)
-        z = _key(points[i, 2], voxel)
-        slot = (int(x) * 73856093 ^ int(y) * 19349669 ^ int(z) * 83492791) & mask
-        while True:
-            number = slots[slot]
-            if number < 0:
-                if count == len(keys):
-                    return -1
-                number = count
-                slots[slot] = number
-                keys[number, 0], keys[number, 1], keys[number, 2] = x, y, z
-                count += 1
-                break
-            if keys[number, 0] == x and keys[number, 1] == y and keys[number, 2] == z:
-                break
-            slot = (slot + 1) & mask
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        if not (_holds(x, px, voxel) and _holds(y, py, voxel) and _holds(z, pz, voxel)):
+            x, y, z = _key(px, voxel, per_m), _key(py, voxel, per_m), _key(pz, voxel, per_m)
+            slot = (int(x) * 73856093 ^ int(y) * 19349669 ^ int(z) * 83492791) & mask
+            while True:
+                number = slots[slot]
+                if number < 0:
+                    if count == len(keys):
+                        return -1
+                    number = np.int32(count)
+                    slots[slot] = number
+                    keys[number, 0], keys[number, 1], keys[number, 2] = x, y, z
+                    count += 1
+                    break
+                if keys[number, 0] == x and keys[number, 1] == y and keys[number, 2] == z:
+                    break
+                slot = (slot + 1) & mask
         voxels[i] = number
     return count
 
 
 @compiled
-def _key(coordinate: float, voxel: float) -> float:
-    """The voxel that holds a coordinate, also where the division rounds across a border."""
-    key = np.floor(coordinate / voxel)
+def _holds(key: float, coordinate: float, voxel: float) -> bool:
+    return bool(key * voxel <= coordinate < (key + 1.0) * voxel)
+
+
+@compiled
+def _key(coordinate: float, voxel: float, per_m: float) -> float:
+    """The voxel that holds a coordinate, also where the product rounds across a border."""
+    key = np.floor(coordinate * per_m)
     if key * voxel > coordinate:
         key -= 1.0
     if (key + 1.0) * voxel <= coordinate:
