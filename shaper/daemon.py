@@ -30,6 +30,7 @@ from shaper.notices import Notice
 from shaper.operator_lost import OperatorBack, OperatorLost, OperatorWatch
 from shaper.secure_channel import Address
 from shaper.session import TAG_BYTES as PROTECTION_BYTES
+from shaper.socket_filter import Admission
 from shaper.trace import TraceFile
 from shaper.trace_records import (
     LEDGER_INTERVAL_NS,
@@ -71,8 +72,8 @@ class Daemon:
         self._silent = False
         self._outlet: BusOutlet | None = None
         self._listeners_until_s = 0.0  # until then what must not be lost waits for somebody to listen
-        self._filtered: tuple[list[int], int] = [], 1
-        self._gate = FloodGate(0)
+        self._admission = Admission()
+        self._gate, self._peers_gate = FloodGate(0), FloodGate(0)
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
 
@@ -201,12 +202,20 @@ class Daemon:
 
     def _filter_strangers(self, now_ns: int) -> None:
         """Tell the kernel which session numbers are ours, and how many initiations, whenever that changes."""
+        if not self._door.keys:
+            return
         channel = self._link.channel
-        wanted = channel.session_ids(), self._gate.look(channel.unwanted_initiations, now_ns)
-        if self._door.keys and wanted != self._filtered:
-            self._filtered = wanted
-            key_ids = [key.id for key in self._door.keys] if channel.ready else []
-            self._door.udp.take_only(wanted[0], key_ids, wanted[1])
+        peers, others = channel.unwanted_initiations
+        admission = Admission(
+            tuple(channel.session_ids()),
+            tuple(key.id for key in self._door.keys) if channel.ready else (),
+            channel.peers,
+            self._gate.look(others, now_ns),
+            self._peers_gate.look(peers, now_ns),
+        )
+        if admission != self._admission:
+            self._admission = admission
+            self._door.udp.take_only(admission)
 
     # What comes out.
 

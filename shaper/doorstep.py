@@ -24,6 +24,7 @@ from shaper.key_file import read_key_file
 from shaper.link_key import LinkKey
 from shaper.open_channel import OpenChannel
 from shaper.secure_channel import SecureChannel
+from shaper.socket_filter import Admission
 from shaper.table_exchange import TableExchange
 from shaper.udp import Datagrams, UdpLink
 
@@ -79,7 +80,7 @@ class Doorstep:
         assert first_word is not None, "a channel without a session starts a handshake"
         self.udp.send(*first_word)
         self.said_bytes = len(first_word[0])
-        self.udp.take_only(self.channel.session_ids(), [])
+        self.udp.take_only(Admission(tuple(self.channel.session_ids())))
 
     def hand_over(self, on_datagrams: Callable[[Datagrams], None]) -> None:
         """From now on this takes what comes; at once, the answers that have come."""

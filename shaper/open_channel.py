@@ -17,7 +17,8 @@ class OpenChannel:
     overhead_bytes = 0
     has_control = False
     ready = True
-    unwanted_initiations = 0
+    unwanted_initiations = (0, 0)
+    peers: tuple[Address, ...] = ()
     peer: Identity | None = None
 
     def __init__(self, peer: Address) -> None:

@@ -125,6 +125,7 @@ class SecureChannel:
         self._current: Session | None = None  # the one to seal with
         self._by_id: dict[int, Session] = {}
         self._seen_ephemerals: dict[bytes, None] = {}
+        self._unwanted = [0, 0]  # initiations
         self._to_send: deque[tuple[bytes, Address]] = deque(maxlen=_MAX_ANSWERED)
         self._attempts = 0
         self._initiate_at_ns = now_ns
@@ -155,9 +156,14 @@ class SecureChannel:
         return [*self._by_id, *self._asked]
 
     @property
-    def unwanted_initiations(self) -> int:
-        """How many have not been answered: forged, repeated, too many."""
-        return self.counters.failed_handshakes + self.counters.refused_handshakes
+    def unwanted_initiations(self) -> tuple[int, int]:
+        """How many from the peer's address and from others were not answered: forged, repeated, too many."""
+        return self._unwanted[0], self._unwanted[1]
+
+    @property
+    def peers(self) -> tuple[Address, ...]:
+        """Where the peer is and where it is looked for."""
+        return tuple({self._whereabouts.configured: None, self.peer_address: None})
 
     def counters_dict(self) -> dict[str, int]:
         """Counters by name."""
@@ -355,7 +361,14 @@ class SecureChannel:
             del self._by_id[session.own_id]
 
     def _on_initiation(self, data: bytes, source: Address, now_ns: int) -> None:
-        known = 0 if source in (self.peer_address, self._whereabouts.configured) else 1
+        known = 0 if source in self.peers else 1
+        before = self.counters.failed_handshakes + self.counters.refused_handshakes
+        self._consider(data, source, known, now_ns)
+        after = self.counters.failed_handshakes + self.counters.refused_handshakes
+        self._unwanted[known] += after - before
+
+    def _consider(self, data: bytes, source: Address, known: int, now_ns: int) -> None:
+        """An initiation: answered if it is the peer's, new, and not one of too many."""
         key = self._keys.get(data[1 : 1 + ID_BYTES])
         if key is None:
             self.counters.failed_handshakes += 1

@@ -9,10 +9,10 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from shaper.secure_channel import Address
-from shaper.socket_filter import SO_ATTACH_FILTER, encode_program, filter_program
+from shaper.socket_filter import SO_ATTACH_FILTER, Admission, encode_program, filter_program
 
 _BUFFER_BYTES = 1 << 20  # the socket's own buffers: a link's worth of seconds, so that none is lost here
 _MAX_BYTES = 65_535
@@ -81,9 +81,9 @@ class UdpLink:
         except OSError:
             self.send_errors += 1  # mostly "connection refused": nobody listens there at the moment
 
-    def take_only(self, session_ids: Sequence[int], key_ids: Sequence[bytes], one_in: int = 1) -> bool:
+    def take_only(self, admission: Admission) -> bool:
         """Have the kernel drop what cannot be the peer's (`shaper.socket_filter`); False if it cannot."""
-        program = encode_program(filter_program(session_ids, key_ids, one_in))
+        program = encode_program(filter_program(admission))
         buffer = ctypes.create_string_buffer(program)
         count = len(program) // 8
         if self._socket is None or sys.platform != "linux":

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ctypes
+import ipaddress
+import random
 import socket
 import struct
 import sys
@@ -15,24 +17,36 @@ from hypothesis import strategies as st
 
 from shaper.flood_gate import FloodGate
 from shaper.handshake import ANSWER_BYTES, INITIATION_BYTES
-from shaper.socket_filter import SO_ATTACH_FILTER, Instruction, encode_program, filter_program
+from shaper.socket_filter import SO_ATTACH_FILTER, Admission, Instruction, encode_program, filter_program
 from shaper.udp import UdpLink
 from tests.shaper.pair import S
-from tests.shaper.secured import KEY, SecuredPair
+from tests.shaper.secured import ADDRESSES, KEY, SecuredPair
 from tests.shaper.test_udp import free_address, run
 
 OURS, OTHER = 0x1234, 0x3412
 
 
-def takes(program: list[Instruction], payload: bytes, chance: int = 0) -> bool:
+ANYBODY, PEER = ("203.0.113.9", 4242), ("10.0.0.2", 9002)
+INITIATION = bytes([3]) + KEY.id + bytes(INITIATION_BYTES - 5)
+
+
+def takes(
+    program: list[Instruction], payload: bytes, chance: int = 0, source: tuple[str, int] = ANYBODY
+) -> bool:
     """The kernel's interpreter, as far as the program needs it; a load past the end drops."""
-    data, at, accumulator = bytes(8) + payload, 0, 0
+    data, at, accumulator = source[1].to_bytes(2, "big") + bytes(6) + payload, 0, 0
+    packed = ipaddress.ip_address(source[0]).packed
+    ip_header = bytes(12 if len(packed) == 4 else 8) + packed + bytes(16)
     while True:
         code, if_true, if_false, k = program[at]
         at += 1
         if code in (0x30, 0x28, 0x20):
             if k == 0xFFFF_F038:
                 accumulator = chance
+                continue
+            if k >= 0xFFF0_0000:
+                k -= 0xFFF0_0000
+                accumulator = int.from_bytes(ip_header[k : k + 4], "big")
                 continue
             size = {0x30: 1, 0x28: 2, 0x20: 4}[code]
             if k + size > len(data):
@@ -71,16 +85,16 @@ def sealed(kind: int, session: int) -> bytes:
     ],
 )
 def test_the_filter_takes_sessions_and_handshakes_only(payload: bytes, taken: bool) -> None:
-    assert takes(filter_program([7, OURS], [KEY.id]), payload) is taken
+    assert takes(filter_program(Admission((7, OURS), (KEY.id,))), payload) is taken
 
 
 @given(st.binary(max_size=100), st.lists(st.integers(0, 0xFFFF), max_size=60))
 def test_the_filter_ends_on_any_datagram(data: bytes, ids: list[int]) -> None:
-    takes(filter_program(ids, [KEY.id]), data)
+    takes(filter_program(Admission(tuple(ids), (KEY.id,), (PEER, ANYBODY), 64, 8)), data)
 
 
 def test_without_a_session_a_foreign_key_can_be_told() -> None:
-    assert takes(filter_program([]), bytes([3]) + b"none" + bytes(INITIATION_BYTES - 5))
+    assert takes(filter_program(Admission()), bytes([3]) + b"none" + bytes(INITIATION_BYTES - 5))
 
 
 def test_whatever_the_peer_sends_passes_the_filter() -> None:
@@ -89,7 +103,7 @@ def test_whatever_the_peer_sends_passes_the_filter() -> None:
         pair.advance(S // 10)
         pair.offer(pair.robot, "robot/command/a", b"x")
         for host in pair.hosts:
-            program = filter_program(pair.other(host).channel.session_ids())
+            program = filter_program(Admission(tuple(pair.other(host).channel.session_ids())))
             underway = [data for _, data, source, _ in pair.underway if source == host.address]
             assert all(takes(program, data) for data in underway)
 
@@ -100,12 +114,12 @@ def test_the_kernel_drops_what_the_filter_drops() -> None:
         inbox: asyncio.Queue[bytes] = asyncio.Queue()
         here = free_address()
         link = await UdpLink.open(here, free_address(), lambda ds: [inbox.put_nowait(d) for d, _, _ in ds])
-        assert link.take_only([OURS], [KEY.id])
+        assert link.take_only(Admission((OURS,), (KEY.id,)))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             for payload in (b"noise", sealed(2, OTHER), sealed(2, OURS), bytes(INITIATION_BYTES)):
                 stranger.sendto(payload, here)
             assert await inbox.get() == sealed(2, OURS)
-            assert link.take_only([OTHER], [])
+            assert link.take_only(Admission((OTHER,)))
             stranger.sendto(sealed(2, OURS), here)
             stranger.sendto(sealed(2, OTHER), here)
             assert await inbox.get() == sealed(2, OTHER)
@@ -115,20 +129,56 @@ def test_the_kernel_drops_what_the_filter_drops() -> None:
 
 
 def test_in_a_flood_one_initiation_in_many_passes_and_all_of_the_session() -> None:
-    program = filter_program([OURS], [KEY.id], one_in=64)
+    program = filter_program(Admission((OURS,), (KEY.id,), one_in=64))
     initiation = bytes([3]) + KEY.id + bytes(INITIATION_BYTES - 5)
     assert sum(takes(program, initiation, chance) for chance in range(640)) == 10
     assert all(takes(program, sealed(0x02, OURS), chance) for chance in range(64))
     assert takes(program, sealed(0x04, OURS)[:3] + bytes(ANSWER_BYTES - 3), 1)
 
 
-def test_the_gate_closes_in_a_flood_and_opens_after_it() -> None:
-    gate, unwanted, closing = FloodGate(0), 0, []
-    for tick in range(1, 41):  # 100,000 a second for five seconds, then none
-        unwanted += 25_000 // gate.one_in if tick <= 20 else 0
-        closing.append(gate.look(unwanted, tick * S // 4))
-    assert closing[7] == closing[19] == 256, "some 400 a second pass"
-    assert closing[-1] == 1
+@pytest.mark.parametrize("peer", [PEER, ("2001:db8::7", 9002)])
+def test_a_strangers_flood_does_not_close_the_gate_for_the_peers_address(peer: tuple[str, int]) -> None:
+    program = filter_program(Admission((OURS,), (KEY.id,), (ADDRESSES["operator"], peer), 4096, 1))
+    assert all(takes(program, INITIATION, chance, peer) for chance in range(64))
+    assert not takes(program, INITIATION, 1, ANYBODY)
+    assert not takes(program, INITIATION, 1, (peer[0], peer[1] + 1))
+    assert not takes(program, INITIATION, 1, ("2001:db8::8", peer[1]))
+    assert not takes(program, bytes([3]) + b"none" + INITIATION[5:], 0, peer)
+    spoofed = filter_program(Admission((OURS,), (KEY.id,), (peer,), 1, 64))
+    assert sum(takes(spoofed, INITIATION, chance, peer) for chance in range(640)) == 10
+
+
+def test_the_gate_closes_at_the_first_batches_of_a_flood_and_opens_after_it() -> None:
+    gate, passed, now_ns = FloodGate(0), 0.0, S
+    gate.look(0, now_ns)
+    while now_ns < 3 * S:  # 100,000 a second, looked at every millisecond
+        now_ns += S // 1000
+        passed += 100 / gate.one_in
+        gate.look(int(passed), now_ns)
+    assert passed < 500, "a hundred a second, and two batches"
+    for _ in range(20):
+        now_ns += S // 4
+        gate.look(int(passed), now_ns)
+    assert gate.one_in == 1
+
+
+def test_a_peer_that_starts_anew_in_a_flood_is_answered_at_once() -> None:
+    pair = SecuredPair()
+    pair.advance(S)
+    noise = random.Random(3)
+    for _ in range(300):
+        forged = INITIATION[:5] + noise.randbytes(INITIATION_BYTES - 5)
+        pair.receive(pair.operator, forged, ANYBODY)
+    of_peer, of_others = pair.operator.channel.unwanted_initiations
+    assert (of_peer, of_others) == (0, 300)
+    one_in, one_in_of_peer = (FloodGate(0).look(count, S // 1000) for count in (of_others, of_peer))
+    assert one_in > 64
+    operator = pair.operator.channel
+    admission = Admission(tuple(operator.session_ids()), (KEY.id,), operator.peers, one_in, one_in_of_peer)
+    pair.start(pair.robot)
+    pair.pump(pair.robot)
+    _, first_word, _ = pair.robot.sent[-1]
+    assert takes(filter_program(admission), first_word, 1, pair.robot.address)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a filter of Linux")
@@ -136,7 +186,7 @@ def test_the_kernel_lets_one_in_many_through() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.setblocking(False)
-        program = encode_program(filter_program([OURS], [KEY.id], one_in=8))
+        program = encode_program(filter_program(Admission((OURS,), (KEY.id,), one_in=8)))
         buffer = ctypes.create_string_buffer(program)
         head = struct.pack("HP", len(program) // 8, ctypes.addressof(buffer))
         receiver.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, head)
