@@ -15,16 +15,15 @@ from shaper.estimation.baseline import Baseline
 from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight, Flights
 from shaper.estimation.ideas import Ideas
+from shaper.estimation.overdue import is_overdue
 from shaper.estimation.round_trips import RoundTrips
 from shaper.estimation.silence import HICCUP_NS, Silence
 from shaper.estimation.states import Input, State, follow
 from shaper.estimation.trains import TRAIN_BYTES, TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains, train_bytes
 from shaper.estimation.trickle import TRICKLE_BYTES, trickle_ns, urgent_trickle_ns
 from shaper.estimation.virtual_queue import VirtualQueue
-from shaper.frames import STAMP_BITS
 from shaper.link_estimator import PresetBand, datagram_wire_bytes
 from shaper.path import ReportedPacket, SentPacket
-from shaper.serial_number import expand
 
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
@@ -45,9 +44,6 @@ PATIENCE_NS = 500 * NS_PER_MS  # with promises of the peer that may be of a fast
 FRESH_NS = 1 * NS_PER_S  # ... until so long after a change
 
 SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
-OVERDUE_NS = 15 * NS_PER_MS  # a report may be this late ...
-OVERDUE_SHARE = 0.15  # ... and this share of the queue that the packet was to meet
-REPORT_LAG_NS = 25 * NS_PER_MS  # an arrival is reported within this, if no report is lost
 SURELY_NS = 25 * NS_PER_MS  # a silent link changed before what the peer's last datagram tells, by about this
 QUICKER_NS = 8 * NS_PER_MS  # a delay lower by this is another band, or a higher rate
 NOISE_FACTOR = 4.0
@@ -419,18 +415,11 @@ class AdaptiveEstimator:
     def _look_for_overdue(self, peer_us: int, now_ns: int) -> None:
         """Hold if the peer has spoken at this time of its clock, and said nothing of what had arrived."""
         base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
-        misses = self._silence.needed_misses(self.loss_ratio)
+        if base_ns is None or rate_bps is None or self._baseline.pausing or not self._ideas.overdue:
+            return
         unreported = self._flights.unreported
-        if base_ns is None or rate_bps is None or len(unreported) < misses:
-            return
-        if self._baseline.pausing or not self._ideas.overdue:
-            return
-        last = unreported[misses - 1]
-        due_ns = last.sent_ns + base_ns + last.wait_ns + int(last.bits * NS_PER_S / rate_bps)
-        lag_ns = REPORT_LAG_NS + REPORT_LAG_NS * (self._silence.misses - 1)
-        margin_ns = OVERDUE_NS + lag_ns + 6 * self._noise_ns + OVERDUE_SHARE * last.wait_ns
-        overdue_us = expand((peer_us - due_ns // 1000) % (1 << STAMP_BITS), STAMP_BITS, 0)
-        if overdue_us * 1000 > margin_ns:
+        misses = self._silence.needed_misses(self.loss_ratio), self._silence.misses
+        if is_overdue(unreported, misses, base_ns, rate_bps, self._noise_ns, peer_us):
             self._hold(Input.OVERDUE, unreported[0].sent_ns, now_ns)
 
     def _doubt(self, now_ns: int) -> None:

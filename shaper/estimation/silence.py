@@ -19,6 +19,8 @@ _LEAST_LOSS = 0.005
 _LATE_NS = 20_000_000  # what ends a hiccup is later than its predecessor by no more than this ...
 _LATE_SHARE = 0.35  # ... or this share of the silence
 _SAME_NS = 5_000_000
+_LARGEST_NS = 150_000_000  # that a backlog's datagram may take: a small one's successor may be so large
+_LARGEST_DECAY = 16
 HICCUP_NS = 300_000_000  # a longer silence is none
 _FALL_NS = 20_000_000  # of the delay back, which says that the path has changed
 _NEVER_NS = 1 << 62
@@ -32,6 +34,7 @@ class Silence:
         self.deadline_ns = _NEVER_NS  # beyond it the peer is silent
         self.misses = 1  # datagrams in a row that must fail to come before that is more than loss
         self.same = False  # whether the newest datagram took as long as the one before it
+        self._largest_ns = 0  # the longest promise of late: what the peer's largest datagrams take
         self._number = -1
         self._loss = LossMeter()
         self._delay_us: int | None = None  # of the newest datagram, plus the clocks' offset
@@ -60,7 +63,9 @@ class Silence:
         late, quicker = self._judge_delay(now_ns // 1000 - sent_us, now_ns - self.heard_ns)
         self.heard_ns = now_ns
         self.misses = self.needed_misses(self._loss.ratio)
-        margin_ns = _MARGIN_NS + int(_NOISE_FACTOR * self.noise_ns)
+        self._largest_ns -= self._largest_ns // _LARGEST_DECAY
+        self._largest_ns = max(self._largest_ns, min(promise_ns, _LARGEST_NS))
+        margin_ns = _MARGIN_NS + max(int(_NOISE_FACTOR * self.noise_ns), self._largest_ns - promise_ns)
         self.deadline_ns = now_ns + self.misses * promise_ns + margin_ns
         return late, quicker
 
@@ -73,7 +78,7 @@ class Silence:
             self._delay_us = self._least_us = delay_us
             return False, False
         later_ns = (delay_us - self._delay_us) * 1000
-        allowed_ns = max(_LATE_NS, _NOISE_FACTOR * self.noise_ns, _LATE_SHARE * silence_ns)
+        allowed_ns = max(_LATE_NS, _NOISE_FACTOR * self.noise_ns, _LATE_SHARE * silence_ns, self._largest_ns)
         off_us = min(abs(delay_us - self._delay_us), 3 * self._deviation_us + 500)
         self._deviation_us += (off_us - self._deviation_us) / 16
         self._delay_us = delay_us

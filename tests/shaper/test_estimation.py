@@ -182,3 +182,16 @@ def test_trains_that_nobody_reports_become_rare() -> None:
 def test_the_documents_diagram_is_the_table() -> None:
     document = (Path(__file__).parents[2] / "docs" / "link_estimation.md").read_text()
     assert f"```mermaid\n{mermaid()}\n```" in document
+
+
+def test_a_large_datagram_after_a_small_one_is_neither_missed_nor_late() -> None:
+    """At 100 kbit/s one of 600 bytes takes 50 ms, a heartbeat 8; the heartbeat promises its own time."""
+    silence = Silence()
+    now_ns = 0
+    for number in range(40):
+        small = number % 5 == 4
+        now_ns += 50 * MS if number % 5 else 8 * MS
+        delay_ns = 500 * MS + (8 * MS if small else 50 * MS)
+        late, _ = silence.on_heard(number, (now_ns - delay_ns) // 1000, 11 * MS if small else 53 * MS, now_ns)
+        assert not late
+        assert silence.deadline_ns > now_ns + 53 * MS
