@@ -76,7 +76,7 @@ CURVES: dict[str, list[Case]] = {
     "topics": [Case(n, 1000, 1, 20) for n in (10, 100, 1000, 10_000)],
     "messages_per_s": [Case(20, n, 1, 20) for n in (100, 1000, 5000, 20_000)],
     "links": [Case(5, 100, n, 10) for n in (1, 5, 20, 50)],
-    "seconds": [Case(20, 1000, 1, n) for n in (10, 40, 160, 640)],
+    "seconds": [Case(20, 1000, 1, n) for n in (10, 40, 160, 320)],
     "backlog": [Case(1, 1000, 1, 60, n) for n in (10, 100, 1000, 10_000)],
 }
 
