@@ -10,7 +10,7 @@ from bench.page.messages import codec, delta, encodings
 from bench.page.peers import peers
 from bench.page.provenance import Document
 from bench.page.section import Section
-from bench.page.views import perception, perception_chain, view_codec, view_fuzz
+from bench.page.views import perception, perception_accuracy, perception_chain, view_codec, view_fuzz
 from bench.page.wire import wire_flood, wire_kill
 
 SECTIONS: dict[str, Callable[[Document], Section]] = {
@@ -28,6 +28,7 @@ SECTIONS: dict[str, Callable[[Document], Section]] = {
     "soak": soak,
     "view_codec": view_codec,
     "perception": perception,
+    "perception_accuracy": perception_accuracy,
     "perception_chain": perception_chain,
     "view_fuzz": view_fuzz,
     "codec": codec,
