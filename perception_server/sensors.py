@@ -17,6 +17,7 @@ from perception_server.history import History, HistoryLimits
 from perception_server.image_answer import answer_image, frame_of
 from perception_server.image_wish import image_wish
 from perception_server.pictures import Calibration, CameraFrame, Disparity
+from perception_server.readiness import Readiness
 from perception_server.scan_geometry import RawCloud, RawScan, ScanPlacement
 from perception_server.view_wish import view_wish
 
@@ -38,7 +39,8 @@ class SensorHistory:
 
     sources: by key, the name under which requests know a sensor. Times in the history are the messages'
     own; the bus's differ where a log is replayed, and a log that repeats empties the history each time it
-    begins anew. encodings: by key, of publishers that do not say theirs.
+    begins anew. encodings: by key, of publishers that do not say theirs. readiness: what can be drawn so
+    far; all, if left out.
     """
 
     def __init__(
@@ -48,10 +50,12 @@ class SensorHistory:
         placement: ScanPlacement | None = None,
         inputs: GeometryInputs | None = None,
         encodings: Mapping[str, str] | None = None,
+        readiness: Readiness | None = None,
     ) -> None:
         self.counters: Counter[str] = Counter()
         self._sources = sources
         self._encodings = encodings or {}
+        self._readiness = readiness or Readiness()
         self._limits = limits or HistoryLimits()
         self._placement = placement or ScanPlacement()
         self._inputs = inputs or GeometryInputs()
@@ -121,9 +125,9 @@ class SensorHistory:
         """The reply, and the capture time of its newest data by the sensor's and by the bus's clock."""
         history = self._history.snapshot()
         if isinstance(request, ImageRequest):
-            image = answer_image(request, history, budget_bytes)
+            image = answer_image(self._readiness.for_now(request), history, budget_bytes)
             return image, image.frame_ns, image.frame_ns + self._bus_minus_sensor_ns
-        view = answer(request, history, budget_bytes)
+        view = self._readiness.geometry_not_yet(request) or answer(request, history, budget_bytes)
         return view, view.newest_ns, view.newest_ns + self._bus_minus_sensor_ns
 
     def _follow(self, stamp_ns: int, bus_ns: int) -> None:

@@ -7,24 +7,34 @@ import numpy as np
 
 from messages.proto.straitlink.view_pb2 import VIEW_STATUS_RENDERED, ImageRequest, ViewRequest
 from perception_server.answer import answer
+from perception_server.decode import decode_view
 from perception_server.frames import StampedTransform
 from perception_server.history import History
 from perception_server.image_answer import answer_image
 from perception_server.pictures import CameraFrame
+from perception_server.readiness import Readiness
 from perception_server.scan_geometry import RawScan
+from perception_server.view_codec import unpack_jpeg
 from perception_server.view_codec.map_codec import warm_up as warm_up_maps
 
 _BUDGET_BYTES = 100_000
 _S = 1_000_000_000
 
 
-def warm_up() -> None:
-    """Load or compile every kernel: seconds the first time on a machine, a second later.
+def warm_up(readiness: Readiness | None = None) -> None:
+    """Load or compile every kernel: up to a minute or two the first time on a machine, later a second.
 
-    Raises RuntimeError if one gives what it must not, as from machine code of an older source.
+    readiness: told what is ready, pictures first. Raises RuntimeError if a kernel gives what it must not,
+    as from machine code of an older source.
     """
-    warm_up_maps()
+    readiness = readiness or Readiness()
     snapshot = made_up_scene().snapshot()
+    image = answer_image(ImageRequest(preset="head_low"), snapshot, _BUDGET_BYTES)
+    if image.status != VIEW_STATUS_RENDERED:
+        raise RuntimeError(f"warming up: an image is not rendered: {image.error}")
+    unpack_jpeg(image.data)
+    readiness.pictures = True
+    warm_up_maps()
     for form in ("FORMAT_HEIGHT_MAP", "FORMAT_RANGE_MAP", "FORMAT_CLOUD", "FORMAT_OCTREE"):
         request = ViewRequest(
             format=ViewRequest.Format.Value(form), resolution_m=0.1, width_px=32, height_px=32
@@ -34,9 +44,8 @@ def warm_up() -> None:
         view = answer(request, snapshot, _BUDGET_BYTES)
         if view.status != VIEW_STATUS_RENDERED:
             raise RuntimeError(f"warming up: {form} is not rendered: {view.error}")
-    image = answer_image(ImageRequest(preset="head_low"), snapshot, _BUDGET_BYTES)
-    if image.status != VIEW_STATUS_RENDERED:
-        raise RuntimeError(f"warming up: an image is not rendered: {image.error}")
+        decode_view(view.SerializeToString())
+    readiness.geometry = True
 
 
 def made_up_scene() -> History:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 import zenoh
@@ -12,6 +13,7 @@ from messages.proto.straitlink.view_pb2 import Image
 from perception_server.dispatch import Reply
 from perception_server.geometry_inputs import GeometryInputs, ScanTiming
 from perception_server.image_file import base_as_compressed_image
+from perception_server.readiness import Readiness
 from perception_server.sensors import SensorHistory
 from perception_server.service import PerceptionService, ServiceSettings
 from perception_server.view_codec import DecodeError
@@ -21,19 +23,29 @@ from straitlink.perception_config import PerceptionConfig
 
 _log = logging.getLogger(__name__)
 _BUS_RETRY_S = 1.0
+_COMPILING = "warming up: compiling what draws and reads views, once on this machine"
+_SLOW_S = 2.0  # to load compiled code takes less
 _FOXGLOVE_IMAGE = "application/protobuf;foxglove.CompressedImage"
 
 
 def serve_views(
-    config: PerceptionConfig, stop: threading.Event, on_open: Callable[[], None] = lambda: None
+    config: PerceptionConfig,
+    stop: threading.Event,
+    on_open: Callable[[], None] = lambda: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, int]:
-    """Serve until `stop` is set; what was counted on the way. Raises BusError."""
+    """Serve until `stop` is set; what was counted on the way. Raises BusError.
+
+    Until what draws is compiled, pictures leave as plain JPEGs and requests for geometry are told to wait;
+    say: called with a line when that is so, and when it is over.
+    """
     sensors = SensorHistory(
         {each.key: each.name for each in config.inputs},
         config.limits,
         config.placement,
         GeometryInputs(ScanTiming(config.mirror_period_s), config.static_sources),
         {each.key: _encoding(each.type) for each in config.inputs if each.type},
+        readiness := Readiness(pictures=False, geometry=False),
     )
     settings = ServiceSettings(
         inputs=[each.key for each in config.inputs],
@@ -49,7 +61,7 @@ def serve_views(
     try:
         service = PerceptionService(session, settings, sensors)
         on_open()
-        warm_up_beside()
+        warm_up_beside(readiness, say)
         stop.wait()
         service.close()
         if service.samples_dropped:
@@ -72,16 +84,29 @@ def open_when_there(bus: BusSettings, stop: threading.Event) -> zenoh.Session | 
     return None
 
 
-def warm_up_beside() -> None:
-    """Load or compile the kernels in a thread, so that pictures leave at once and no view waits for it."""
-    threading.Thread(target=_warm_up, name="warm-up", daemon=True).start()
+def warm_up_beside(
+    readiness: Readiness | None = None, say: Callable[[str], None] = lambda line: None
+) -> None:
+    """Load or compile the kernels in a thread; say so if it takes long, and when they are ready."""
+    known = readiness or Readiness()
+    threading.Thread(target=_warm_up, args=(known, say), name="warm-up", daemon=True).start()
 
 
-def _warm_up() -> None:
+def _warm_up(readiness: Readiness, say: Callable[[str], None]) -> None:
+    began_s = time.monotonic()
+    slow = threading.Timer(
+        _SLOW_S, say, ("warming up: compiling what draws and reads views, once on this machine",)
+    )
+    slow.daemon = True
+    slow.start()
     try:
-        warm_up()
-    except RuntimeError:
+        warm_up(readiness)
+    except Exception:  # whatever it is: requests must not be told to wait for what never comes
         _log.exception("views of geometry may be wrong or late")
+    finally:
+        slow.cancel()
+        readiness.pictures = readiness.geometry = True
+    say(f"ready after {time.monotonic() - began_s:.1f} s")
 
 
 def _encoding(type_name: str) -> str:

@@ -14,9 +14,11 @@ from messages.attachment import Stamp
 from messages.proto.straitlink.view_pb2 import VIEW_STATUS_ACCEPTED, ImageRequest
 from perception_server.bus_messages import parse_reply
 from perception_server.dispatch import Reply, Request
+from perception_server.readiness import is_warming_up
 from shaper.bus import BusSettings, open_bus
 
 _DIRECT_S = 20.0  # a query that somebody answers is rendered by then
+_WARMING_S = 5.0  # until a server that is still warming up is asked again
 _AGAIN_S = 10.0  # a request over the link that was not answered is put once more
 
 
@@ -41,7 +43,7 @@ def request_view(
     """The reply and how many seconds it took. Raises RequestFailedError, BusError.
 
     On the robot's bus the server answers a query; on the operator's there is none, and the request goes
-    over the link as a message.
+    over the link as a message. A server that is still warming up is asked again until timeout_s.
     """
     request.capture_ns = time.time_ns()
     if not request.request_id:
@@ -49,8 +51,13 @@ def request_view(
     session = open_bus(settings.bus)
     began_s = time.monotonic()
     try:
-        reply = _query(session, request) or _over_the_link(session, request, settings, say)
-        return reply, time.monotonic() - began_s
+        while True:
+            reply = _query(session, request) or _over_the_link(session, request, settings, say)
+            took_s = time.monotonic() - began_s
+            if not is_warming_up(reply) or took_s + _WARMING_S > settings.timeout_s:
+                return reply, took_s
+            say(reply.error)
+            time.sleep(_WARMING_S)
     finally:
         session.close()
 

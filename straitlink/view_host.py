@@ -23,8 +23,14 @@ class ViewHostSettings:
     stop: threading.Event = field(default_factory=threading.Event)
 
 
-def show_views(settings: ViewHostSettings, on_open: Callable[[], None] = lambda: None) -> dict[str, int]:
+def show_views(
+    settings: ViewHostSettings,
+    on_open: Callable[[], None] = lambda: None,
+    say: Callable[[str], None] = lambda line: None,
+) -> dict[str, int]:
     """Decode until `stop` is set; what was counted. Raises BusError.
+
+    say: called with a line if what decodes must be compiled first, and when it is ready.
 
     Zenoh calls back in one thread per subscriber, so views are decoded one after the other. Each message
     keeps its attachment: the capture time on the robot.
@@ -46,7 +52,7 @@ def show_views(settings: ViewHostSettings, on_open: Callable[[], None] = lambda:
     try:
         subscriber = session.declare_subscriber(f"{settings.prefix}/**", take)
         on_open()
-        warm_up_beside()
+        warm_up_beside(say=say)
         settings.stop.wait()
         subscriber.undeclare()
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +26,10 @@ def perception(
         counts = f"{len(settings.inputs)} inputs, {len(settings.streams)} views"
         typer.echo(f"perception: open, {counts}", err=True)
 
-    for what, count in serve_views(settings, stop_on_signals(), say_open).items():
+    def say(line: str) -> None:
+        typer.echo(f"perception: {line}", err=True)
+
+    for what, count in serve_views(settings, stop_on_signals(), say_open, say).items():
         typer.echo(f"perception: {what}: {count}", err=True)
 
 
@@ -54,9 +58,16 @@ def request(
     settings = RequestSettings(BusSettings(connect=connect), prefix=prefix, timeout_s=timeout)
     reply, took_s = request_view(request_of(what), settings, lambda line: typer.echo(line, err=True))
     typer.echo(f"{describe(reply)}, after {took_s:.2f} s")
-    for path in save or []:
-        save_view(reply, path)
-        typer.echo(f"saved: {path}")
+    notice = "decoding: what reads views is compiled first, once on this machine, up to a minute"
+    slow = threading.Timer(2.0, typer.echo, (notice,), {"err": True})
+    slow.daemon = True
+    slow.start()
+    try:
+        for path in save or []:
+            save_view(reply, path)
+            typer.echo(f"saved: {path}")
+    finally:
+        slow.cancel()
 
 
 @app.command()
@@ -71,7 +82,11 @@ def views(
     from straitlink.view_host import ViewHostSettings, show_views
 
     settings = ViewHostSettings(BusSettings(connect=connect), prefix, to, stop_on_signals())
-    counts = show_views(settings, lambda: typer.echo(f"views: open, {prefix}/** as {to}/**", err=True))
+    counts = show_views(
+        settings,
+        lambda: typer.echo(f"views: open, {prefix}/** as {to}/**", err=True),
+        lambda line: typer.echo(f"views: {line}", err=True),
+    )
     for what, count in counts.items():
         if count:
             typer.echo(f"views: {what}: {count}", err=True)
