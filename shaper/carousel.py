@@ -1,10 +1,10 @@
 """The sending half of a link without a way back: what is held goes round at a fixed rate, newest first.
 
 Nobody tells what arrives, when the link is open, or what it carries; so nothing is estimated. What a window
-may carry is held, and sent again and again: a new message at once, before everything else, then whatever
-else is held from the newest to the oldest, and that anew every `repeat_ns`. A window at least so long brings
-all of it, whenever it opens; what was lost on the way comes with the next round. docs/carousel.md has the
-figures. No I/O; time is an argument.
+may carry is held, and sent again and again: a new message before everything but one that is just leaving for
+the first time; then whatever else is held, from the newest to the oldest, and that anew every `repeat_ns`. A
+window at least so long brings all of it, whenever it opens; what was lost on the way comes with the next
+round. docs/carousel.md has the figures. No I/O; time is an argument.
 """
 
 from __future__ import annotations
@@ -108,6 +108,7 @@ class Carousel:
         self._held_bytes = 0
         self._newest: dict[str, int] = {}  # message of a key of which only the newest counts
         self._turns: list[_Turn] = []  # the last one is sent now
+        self._waiting: _Held | None = None  # a newer sample of what is just leaving for the first time
         self._accepted_ns: dict[str, int] = {}  # for decimation
         self._next_message = 0
         self._round_at_ns = now_ns
@@ -180,6 +181,7 @@ class Carousel:
                 if held is not None:
                     self._drop(turn.message)
                     held.ledger.expired += not held.left
+                self._hold_what_waits()
                 continue
             return self._chunk(turn, held, now_ns)
         return None
@@ -193,6 +195,16 @@ class Carousel:
         return max(self._round_at_ns, self._pacer.next_send_at_ns(now_ns))
 
     def _hold(self, held: _Held) -> None:
+        """Let a message go round.
+
+        What is leaving for the first time leaves whole before, or with more offered than the link carries
+        each message would be overtaken half way and none would ever arrive.
+        """
+        leaving = self._leaving()
+        if held.latest and leaving is not None and self._newest.get(held.key) == leaving:
+            held.ledger.superseded += self._waiting is not None
+            self._waiting = held
+            return
         message, self._next_message = self._next_message, self._next_message + 1
         assert message < MOST_MESSAGES, "a carousel has gone round with four thousand million messages"
         if held.latest:
@@ -203,13 +215,22 @@ class Carousel:
         while self._held and (
             self._held_bytes + held.wire_bytes > self._settings.held_bytes or len(self._held) >= _MOST_HELD
         ):
-            oldest = self._drop(next(iter(self._held)))
+            others = (message for message in self._held if message != leaving)
+            oldest = self._drop(next(others, next(iter(self._held))))
             oldest.ledger.overflow += not oldest.left
         self._held[message] = held
         self._held_bytes += held.wire_bytes
-        self._turns.append(_Turn(message))
+        self._turns.insert(len(self._turns) - (leaving in self._held), _Turn(message))
         if len(self._turns) > 2 * len(self._held) + 16:  # mostly of messages that are not held any more
             self._turns = [turn for turn in self._turns if turn.message in self._held]
+
+    def _leaving(self) -> int | None:
+        """The message that has begun to leave for the first time."""
+        turn = self._turns[-1] if self._turns else None
+        if turn is None or turn.next_chunk == 0:
+            return None
+        held = self._held.get(turn.message)
+        return None if held is None or held.left else turn.message
 
     def _drop(self, message: int) -> _Held:
         held = self._held.pop(message)
@@ -232,6 +253,10 @@ class Carousel:
         begin = turn.next_chunk * self._chunk_bytes
         data = held.blob[begin : begin + self._chunk_bytes]
         body = encode_chunk(Chunk(self._life, turn.message, turn.next_chunk, count, data))
+        wire_bytes = len(data) + self._outer_bytes
+        self._pacer.on_sent(wire_bytes, now_ns)
+        self.counters.carousel_datagrams += 1
+        self.counters.carousel_wire_bytes += wire_bytes
         turn.next_chunk += 1
         held.ledger.sent_bytes += 0 if held.left else len(data)
         held.ledger.repeated_bytes += len(data) if held.left else 0
@@ -239,8 +264,10 @@ class Carousel:
             self._turns.pop()
             held.ledger.sent += not held.left
             held.left = True
-        wire_bytes = len(data) + self._outer_bytes
-        self._pacer.on_sent(wire_bytes, now_ns)
-        self.counters.carousel_datagrams += 1
-        self.counters.carousel_wire_bytes += wire_bytes
+            self._hold_what_waits()
         return body
+
+    def _hold_what_waits(self) -> None:
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._hold(waiting)

@@ -50,6 +50,8 @@ def _instrumented() -> AbstractContextManager[object]:
 
 with _instrumented():
     from shaper.agreement import make_table, unpack_table
+    from shaper.carousel_receiver import CarouselReceiver
+    from shaper.carousel_wire import CarouselMessage, Chunk, encode_chunk, encode_message
     from shaper.compression import unpack
     from shaper.datagram import decode_datagram
     from shaper.endpoint import Endpoint
@@ -139,6 +141,14 @@ def peer(data: bytes) -> None:
     assert min(received.values()) >= 0, f"more than three times what came went to {min(received)}"
 
 
+def carousel(data: bytes) -> None:
+    """What an authentic but mad sender of a carousel says, part by part."""
+    victim = CarouselReceiver(_LIMITS, ("**",), {}, lambda stamp_us, now_ns: now_ns - stamp_us * 1000)
+    for part in split_parts(data):
+        victim.receive(part, 10 * _S)
+    assert victim.held_bytes <= 2 * _LIMITS.max_reassembly_bytes, f"{victim.held_bytes} bytes are held"
+
+
 def state(data: bytes) -> None:
     """The entries of a shared state."""
     decode_entries(data)
@@ -175,7 +185,10 @@ def compressed(data: bytes) -> None:
 _OTHERS: tuple[ModuleType, ...] = (fuzz_payloads, fuzz_views)
 TARGETS: dict[str, Callable[[bytes], None]] = {
     each.__name__: each
-    for each in (datagram, endpoint, channel, control, peer, state, table, hello, shares, compressed)
+    for each in (
+        *(datagram, endpoint, channel, control, peer, carousel),
+        *(state, table, hello, shares, compressed),
+    )
 } | {name: target for module in _OTHERS for name, target in module.TARGETS.items()}
 
 
@@ -207,6 +220,7 @@ def seeds() -> dict[str, list[bytes]]:
             join_parts([b"", b"\x01" + bytes(50), b"\x02\xb0\x04", b"\x04somehash\x00\x01x", b"\x03"])
         ],
         "peer": [join_parts([*bodies, b"\1\x05" + bytes(8), b"\2" * 60])],
+        "carousel": [join_parts([encode_chunk(chunk) for chunk in _chunks()])],
         "state": [encode_entries({1: b"one", 7: b""}, whole=True), encode_entries({9: b"x"}, whole=False)],
         "table": [tables.packed(), b'{"sends":{"a":{"class":"x"}},"takes":["**"],"reads":[]}'],
         "hello": [encode_hello(Hello(7, 1_750_000_000 * _S, Identity(9, bytes(8), bytes(8))))],
@@ -214,6 +228,14 @@ def seeds() -> dict[str, list[bytes]]:
         "compressed": [bytes.fromhex("28b52ffd0400410000" + "61" * 8)],
     }
     return own | {name: inputs for module in _OTHERS for name, inputs in module.seeds().items()}
+
+
+def _chunks() -> list[Chunk]:
+    """Of one message in three parts, and of a newer one in one."""
+    blobs = [encode_message(CarouselMessage("a/b", "raw", bytes(n), 1, 2, 0, True)) for n in (60, 5)]
+    parts = [blobs[0][at : at + 32] for at in range(0, len(blobs[0]), 32)]
+    chunks = [Chunk(7, 0, index, len(parts), part) for index, part in enumerate(parts)]
+    return [*chunks, Chunk(7, 1, 0, 1, blobs[1])]
 
 
 def _endpoint(now_ns: int, journal: MemoryJournal | None = None) -> Endpoint:

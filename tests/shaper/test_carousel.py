@@ -107,13 +107,32 @@ def test_what_is_newest_leaves_first() -> None:
 
 def test_a_new_message_does_not_wait_for_a_round_to_end() -> None:
     link = Link()
-    link.offer("big", bytes(150_000))
+    link.offer("big", bytes(140_000))
     link.run(100 * MS)
-    link.offer("urgent", b"now")
+    link.offer("first", b"waits until what is leaving has left")
+    link.run(500 * MS)  # in the midst of a round
+    assert link.keys == ["big", "first"]
+    link.offer("second", b"now")
     link.run(5 * MS)
-    assert link.keys == ["urgent"]
-    link.run(S)
-    assert link.keys == ["urgent", "big"]
+    assert link.keys == ["big", "first", "second"]
+
+
+@pytest.mark.parametrize("keep_all", [False, True])
+def test_with_more_offered_than_the_link_carries_whole_messages_still_arrive(keep_all: bool) -> None:
+    topics = (CarouselTopic("scan", latest=not keep_all), CarouselTopic("image", latest=not keep_all))
+    link = Link(replace(SETTINGS, topics=topics))
+    for number in range(200):  # 40 scans and 20 images a second, some three times the rate
+        link.offer("scan", bytes(15_000))
+        if number % 2:
+            link.offer("image", bytes(30_000))
+        link.run(25 * MS)
+        for key, ledger in link.carousel.ledgers.items():
+            assert ledger.queued >= 0, key
+    arrived_bytes = sum(len(d.payload) for d in link.delivered)
+    assert 8 * arrived_bytes > 0.85 * RATE_BPS * link.now_ns / S
+    assert set(link.keys) == {"scan", "image"}
+    link.run(10 * S)
+    assert all(ledger.queued == 0 for ledger in link.carousel.ledgers.values())
 
 
 def test_a_newer_sample_takes_the_place_of_the_older_one() -> None:
