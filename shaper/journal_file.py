@@ -1,15 +1,19 @@
 """The journal of a live daemon: one SQLite file in WAL mode, bounded. The driver of `shaper.journal`.
 
 Every call commits by itself; a commit is in the kernel's hands when it returns, which is what outlives
-kill -9. A power cut may take the last commits (synchronous = NORMAL) but leaves the file whole. Times
-are of the monotonic clock, which starts anew with the machine: what was under way then is given up.
+kill -9. A power cut may take the last commits (synchronous = NORMAL) but leaves the file whole. Where the
+disk is full or gone the link goes on without: new reliable messages are refused, those under way are no
+longer on record. The file is its owner's alone, as commands are in it. Times are of the monotonic clock,
+which starts anew with the machine: what was under way then is given up.
 """
 
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from shaper.errors import ConfigError
@@ -19,6 +23,7 @@ from shaper.journal import MAX_MEMORIES, MAX_TOPICS, REMEMBERED_OUTCOMES, OwnMes
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _FORMAT = 1
+_MODE = 0o600
 _HANDING_OVER = -1  # in the outcome column
 _SCHEMA = """
 CREATE TABLE about (name TEXT PRIMARY KEY, value) WITHOUT ROWID;
@@ -30,9 +35,14 @@ CREATE TABLE theirs (memory INTEGER NOT NULL, key TEXT NOT NULL, number INTEGER 
     outcome INTEGER NOT NULL, PRIMARY KEY (memory, key, number)) WITHOUT ROWID;
 """
 
+_log = logging.getLogger(__name__)
+
 
 class JournalFile:
-    """A journal in a file that this process alone may use. Raises ConfigError where it cannot."""
+    """A journal in a file that this process alone may use. Raises ConfigError where it cannot.
+
+    failing: the last thing that was to be recorded could not be.
+    """
 
     def __init__(
         self,
@@ -45,6 +55,7 @@ class JournalFile:
         self._max_messages = max_messages
         self._max_bytes = max_bytes
         self._random = random_bytes
+        self.failing = False
         self._open()
         about = dict(self._db.execute("SELECT name, value FROM about"))
         self.memory: bytes = about["memory"]
@@ -76,23 +87,29 @@ class JournalFile:
         if self._rows >= self._max_messages or self._bytes + len(payload) > self._max_bytes:
             return None
         row = (key, str(tag), capture_ns, encoding, payload)  # a tag has up to 96 bits
-        cursor = self._db.execute(
-            "INSERT INTO own (key, tag, capture_ns, encoding, payload) VALUES (?, ?, ?, ?, ?)", row
-        )
+        serial: int | None = None
+        with self._writing() as db:
+            serial = db.execute(
+                "INSERT INTO own (key, tag, capture_ns, encoding, payload) VALUES (?, ?, ?, ?, ?)", row
+            ).lastrowid
+        if serial is None or self.failing:
+            return None
         self._rows += 1
         self._bytes += len(payload)
-        assert cursor.lastrowid is not None, "an insert gives its row a number"
-        return cursor.lastrowid
+        return serial
 
     def depart(self, serial: int, key: str, number: int) -> None:
-        self._db.execute("BEGIN")
-        self._db.execute("UPDATE own SET number = ? WHERE serial = ?", (number, serial))
-        self._db.execute("INSERT OR REPLACE INTO next_number VALUES (?, ?)", (key, number + 1))
-        self._db.execute("COMMIT")
+        with self._writing() as db:
+            db.execute("UPDATE own SET number = ? WHERE serial = ?", (number, serial))
+            db.execute("INSERT OR REPLACE INTO next_number VALUES (?, ?)", (key, number + 1))
 
     def settle(self, serial: int) -> None:
-        row = self._db.execute("DELETE FROM own WHERE serial = ? RETURNING length(payload)", (serial,))
-        for (count,) in row.fetchall():
+        settled: list[tuple[int]] = []
+        with self._writing() as db:
+            settled = db.execute(
+                "DELETE FROM own WHERE serial = ? RETURNING length(payload)", (serial,)
+            ).fetchall()
+        for (count,) in settled:
             self._rows -= 1
             self._bytes -= count
 
@@ -105,14 +122,15 @@ class JournalFile:
         return {n: None if outcome == _HANDING_OVER else Outcome(outcome) for n, outcome in rows}
 
     def record(self, memory: bytes, key: str, number: int, outcome: Outcome | None) -> None:
-        place = self._memory_id(memory)
         value = _HANDING_OVER if outcome is None else int(outcome)
-        self._db.execute("INSERT OR REPLACE INTO theirs VALUES (?, ?, ?, ?)", (place, key, number, value))
-        if number % REMEMBERED_OUTCOMES == 0:
-            old = (place, key, number - REMEMBERED_OUTCOMES)
-            self._db.execute("DELETE FROM theirs WHERE memory = ? AND key = ? AND number < ?", old)
-        if (place, key) not in self._topics:
-            self._add_topic(place, key)
+        with self._writing() as db:
+            place = self._memory_id(memory)
+            db.execute("INSERT OR REPLACE INTO theirs VALUES (?, ?, ?, ?)", (place, key, number, value))
+            if number % REMEMBERED_OUTCOMES == 0:
+                old = (place, key, number - REMEMBERED_OUTCOMES)
+                db.execute("DELETE FROM theirs WHERE memory = ? AND key = ? AND number < ?", old)
+            if (place, key) not in self._topics:
+                self._add_topic(place, key)
 
     def _add_topic(self, place: int, key: str) -> None:
         """The peer names the topics: of too many the oldest gives way."""
@@ -124,7 +142,8 @@ class JournalFile:
 
     def meet(self, memory: bytes) -> None:
         self.peer_memory = memory
-        self._db.execute("INSERT OR REPLACE INTO about VALUES ('peer_memory', ?)", (memory,))
+        with self._writing() as db:
+            db.execute("INSERT OR REPLACE INTO about VALUES ('peer_memory', ?)", (memory,))
 
     def _memory_id(self, memory: bytes) -> int:
         row = self._db.execute("SELECT id FROM memory WHERE memory = ?", (memory,)).fetchone()
@@ -136,6 +155,30 @@ class JournalFile:
         self._db.execute("DELETE FROM theirs WHERE memory <= ?", oldest)
         self._db.execute("DELETE FROM memory WHERE id <= ?", oldest)
         return cursor.lastrowid
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """All of it or nothing; what cannot be written is told once, and does not stop the link."""
+        try:
+            self._db.execute("BEGIN")
+            yield self._db
+            self._db.execute("COMMIT")
+        except sqlite3.Error as error:
+            with contextlib.suppress(sqlite3.Error):
+                self._db.execute("ROLLBACK")
+            if not self.failing:
+                _log.error(
+                    "%s: the journal cannot be written: %s: until it can, new reliable messages are "
+                    "refused, and those under way may be lost or come twice if a daemon is killed: make "
+                    "room on the disk",
+                    self._path,
+                    error,
+                )
+            self.failing = True
+        else:
+            if self.failing:
+                _log.warning("%s: the journal can be written again", self._path)
+            self.failing = False
 
     # Opening.
 
@@ -152,6 +195,10 @@ class JournalFile:
             self._db = self._connect()
 
     def _connect(self) -> sqlite3.Connection:
+        with contextlib.suppress(OSError):  # SQLite says what is wrong with the place
+            descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, _MODE)
+            os.fchmod(descriptor, _MODE)  # SQLite's other two files take the mode of this one
+            os.close(descriptor)
         db = sqlite3.connect(self._path, isolation_level=None, timeout=2.0)
         try:
             db.execute("PRAGMA locking_mode = EXCLUSIVE")

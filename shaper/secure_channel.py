@@ -144,7 +144,7 @@ class SecureChannel:
     @property
     def ready(self) -> bool:
         """Whether datagrams can be sealed."""
-        return self._current is not None
+        return self._current is not None and not self._current.worn
 
     @property
     def peer(self) -> Identity | None:
@@ -327,7 +327,7 @@ class SecureChannel:
     def _follow(self, source: Address, datagram_bytes: int, now_ns: int) -> None:
         """Nothing newer than this datagram has come, and it came from there."""
         token = self._whereabouts.on_heard(source, datagram_bytes, now_ns)
-        if token is not None:
+        if token is not None and self.ready:
             self._to_send.append((self.seal_control(CHALLENGE + token), source))
 
     def _on_trial(self, body: bytes, source: Address, now_ns: int) -> None:
@@ -336,7 +336,8 @@ class SecureChannel:
         if len(body) != CHALLENGE_BYTES:
             raise DecodeError(f"a challenge of {len(body)} bytes: expected {CHALLENGE_BYTES}")
         if body[:1] == CHALLENGE:
-            self._to_send.append((self.seal_control(ANSWERED + body[1:]), source))
+            if self.ready:
+                self._to_send.append((self.seal_control(ANSWERED + body[1:]), source))
         elif self._whereabouts.on_answer(source, body[1:]):
             self._notices.moved(old, source, now_ns)
 

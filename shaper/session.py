@@ -86,8 +86,14 @@ class Session:
 
     @property
     def sealed(self) -> int:
-        """How many packet numbers lie behind this key."""
-        return 0 if self._first_number is None else self._last_number - self._first_number + 1
+        """How many packet numbers lie behind this key, of the kind that has used more."""
+        data = 0 if self._first_number is None else self._last_number - self._first_number + 1
+        return max(data, self._control_number)
+
+    @property
+    def worn(self) -> bool:
+        """Nothing more is sealed: the next key is overdue, and a number must not come again."""
+        return self.sealed >= MAX_SEALED
 
     def seal(self, datagram: bytes, number: int) -> bytes:
         """Protect a plain datagram whose packet number, in full, is `number`."""
@@ -102,6 +108,8 @@ class Session:
 
     def seal_control(self, payload: bytes) -> bytes:
         """Protect what the two channels tell each other beside the endpoints' datagrams."""
+        if self._control_number >= MAX_SEALED:
+            raise ValueError(f"control number {self._control_number}: a key seals fewer than {MAX_SEALED}")
         number = self._control_number.to_bytes(NUMBER_BITS // 8, "little")
         self._control_number += 1
         clear = bytes([CONTROL]) + self._peer_id + number

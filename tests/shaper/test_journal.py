@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import sqlite3
+import stat
 import subprocess
 import sys
 from collections.abc import Callable
@@ -293,3 +294,34 @@ def test_a_journal_of_another_format_is_not_read(tmp_path: Path) -> None:
     db.close()
     JournalFile(path, random.Random(1).randbytes)
     assert (tmp_path / "a.journal.damaged").exists()
+
+
+def test_a_journal_is_its_owners_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.journal"
+    path.touch(0o644)  # by an earlier version
+    journal = JournalFile(path, random.Random(1).randbytes)
+    journal.accept("a", 1, 5, "", b"a command")
+    modes = {each.name: stat.S_IMODE(each.stat().st_mode) for each in tmp_path.iterdir()}
+    assert set(modes.values()) == {0o600}, modes
+    assert "a.journal-wal" in modes
+    journal.close()
+
+
+def test_a_full_disk_stops_new_reliable_messages_and_not_the_link(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    journal = JournalFile(tmp_path / "a.journal", random.Random(1).randbytes)
+    serial = journal.accept("a", 1, 5, "", b"one")
+    assert serial is not None
+    (pages,) = journal._db.execute("PRAGMA page_count").fetchone()
+    journal._db.execute(f"PRAGMA max_page_count = {pages}")
+    refused = [journal.accept("a", 2, 5, "", bytes(5000)) for _ in range(20)]
+    assert refused[-1] is None and journal.failing
+    assert caplog.text.count("make room on the disk") == 1
+    journal._db.execute(f"PRAGMA max_page_count = {10 * pages}")
+    journal.depart(serial, "a", 7)
+    journal.settle(serial)
+    assert not journal.failing and "written again" in caplog.text
+    assert journal.accept("a", 3, 5, "", b"three") is not None
+    assert journal.next_numbers() == {"a": 8}
+    journal.close()

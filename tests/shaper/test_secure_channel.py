@@ -15,7 +15,7 @@ from shaper.frames import HEADER_BYTES
 from shaper.handshake import ANSWER_BYTES, INITIATION_BYTES
 from shaper.notices import NoticeKind
 from shaper.secure_channel import REKEY_AFTER_NS, SecureChannel
-from shaper.session import Session
+from shaper.session import MAX_SEALED, Session
 from tests.shaper.pair import HOUR, MS, S
 from tests.shaper.secured import ADDRESSES, KEY, OTHER_KEY, Host, SecuredPair
 
@@ -204,6 +204,21 @@ def test_a_key_seals_no_packet_number_twice() -> None:
     session.seal(plain, 5000)
     with pytest.raises(ValueError, match="only once"):
         session.seal(plain, 5000)
+
+
+def test_a_key_that_a_peers_questions_wear_out_says_no_more_and_is_replaced() -> None:
+    pair = met()
+    robot, operator = pair.robot.channel, pair.operator.channel
+    worn: Session = robot._current
+    worn._control_number = MAX_SEALED - 2
+    for _ in range(6):
+        asked = operator.seal_control(b"\x05" + bytes(8))
+        pair.receive(pair.robot, asked, pair.operator.address)
+    assert worn.worn and worn._control_number == MAX_SEALED
+    pair.offer(pair.robot, "robot/command/a", b"go on")
+    pair.advance(6 * S)  # the wear is looked at every three seconds
+    assert robot._current is not worn and robot.ready
+    assert pair.operator.payloads[-1] == b"go on"
 
 
 # Keys.
