@@ -24,7 +24,10 @@ CAROUSEL = "carousel"  # of one that crosses by the mission's second link, if it
 
 @dataclass(frozen=True, slots=True)
 class LoadTopic:
-    """One periodic source. traffic_class: None for a topic that stays on its own bus, or goes_round."""
+    """One periodic source. traffic_class: None for a topic that stays on its own bus, or goes_round.
+
+    starts_at_ns: since the mission's start; nothing is published before.
+    """
 
     key: str
     direction: Literal["down", "up"]
@@ -33,6 +36,7 @@ class LoadTopic:
     traffic_class: TrafficClass | None
     max_hz: float | None = None
     goes_round: bool = False
+    starts_at_ns: int = 0
 
     @property
     def is_reliable(self) -> bool:

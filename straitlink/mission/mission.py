@@ -263,7 +263,7 @@ class _Mission:
         payload = self._rng.randbytes(topic.payload_bytes)
         outcome, loop, end_ns = self.topics[topic.key], self.loop, self.settings.duration_ns
         period_ns = _NS_PER_S / topic.rate_hz
-        phase_ns = self._rng.random() * period_ns
+        phase_ns = topic.starts_at_ns + self._rng.random() * period_ns
         count = 0
 
         def publish() -> None:

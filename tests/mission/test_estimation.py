@@ -37,3 +37,17 @@ def test_the_rate_follows_the_link_within_a_second_and_a_half_of_its_change() ->
     for at_s, true_bps in ((58.0, 1e6), (62.5, 1e5), (118.0, 1e5), (121.5, 1e6)):
         _, state = [s for s in states if s[0] <= at_s][-1]
         assert float(str(state["rate_bps"])) == pytest.approx(true_bps, rel=0.06), at_s
+
+
+def test_a_link_that_carries_little_stays_known_and_the_first_image_leaves_at_its_rate() -> None:
+    flood = settings("constant-100k-500ms", "camera-flood", 28, 1)
+    late = {"robot/image": 20_000_000_000, "robot/joints": 10_000_000_000}
+    topics = tuple(replace(t, starts_at_ns=late.get(t.key, 0)) for t in flood.load.topics)
+    trace = TraceLog()
+    run_mission(replace(flood, load=replace(flood.load, topics=topics), estimator=adaptive), trace)
+    first_s = min(when_s for when_s, _ in trace.deliveries("operator", "robot/image"))
+    assert 21 < first_s < 24
+    for record in trace.records["robot"]:
+        if record["event"] == "link_state" and 8e9 < int(str(record["t_ns"])) < 20e9:
+            assert float(str(record["rate_bps"])) == pytest.approx(1e5, rel=0.06)
+            assert record["band"] not in ("hold", "probe")
