@@ -26,7 +26,7 @@ Picture = NDArray[np.uint8]
 
 
 def image_rows() -> Iterator[Row]:
-    """JPEG as OpenCV writes it and packed, the same pixels; WebP and AVIF at JPEG's PSNR or better."""
+    """JPEG as OpenCV writes it and packed, the same pixels; WebP at JPEG's PSNR or better."""
     frames = list(_frames())
     for product, quality, view in (
         ("head camera 256x136 q50", 50, lambda frame: _shrunk(frame, 256, 136)),
@@ -43,7 +43,7 @@ def image_rows() -> Iterator[Row]:
                 for jpeg in jpegs
             ]
             yield row(product, codec, done, paper)
-        for form in ("webp", "avif"):
+        for form in ("webp",):
             alike = [_least_quality(picture, jpeg, form) for picture, jpeg in zip(views, jpegs, strict=True)]
             done = [
                 coded(

@@ -24,7 +24,7 @@ class CodecId(IntEnum):
     OCTREE_ZSTD = 0x31
     OCTREE_CONTEXT = 0x32
     IMAGE_JPEG = 0x40  # a JPEG without the tables that every decoder knows
-    IMAGE_FILE = 0x41  # a JPEG, WebP or AVIF file as it is
+    IMAGE_FILE = 0x41  # a JPEG or WebP file as it is
     IMAGE_JPEG_CONTEXT = 0x42  # a JPEG's coefficients, context mixing
 
 

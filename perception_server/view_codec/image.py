@@ -1,4 +1,4 @@
-"""Pictures at a quality or within a number of bytes: JPEG that travels packed, WebP, AVIF."""
+"""Pictures at a quality or within a number of bytes: JPEG that travels packed, or WebP."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from .codec_id import CodecId
 from .errors import EncodeError
 from .jpeg import pack_jpeg
 
-ImageFormat = Literal["jpeg", "webp", "avif"]
+ImageFormat = Literal["jpeg", "webp"]
 DEFAULT_QUALITY = 50
 MAX_SIDE_PIXELS = 16_383  # WebP's (RFC 9649, section 2.7)
-_AVIF_SPEED = 6  # 0 slow to 10: 9 takes a sixth of the time and a quarter more bytes
-_WRITERS: dict[str, tuple[str, int, tuple[int, ...]]] = {
-    "jpeg": (".jpg", cv2.IMWRITE_JPEG_QUALITY, ()),
-    "webp": (".webp", cv2.IMWRITE_WEBP_QUALITY, ()),
-    "avif": (".avif", cv2.IMWRITE_AVIF_QUALITY, (cv2.IMWRITE_AVIF_SPEED, _AVIF_SPEED)),
+_WRITERS: dict[str, tuple[str, int]] = {
+    "jpeg": (".jpg", cv2.IMWRITE_JPEG_QUALITY),
+    "webp": (".webp", cv2.IMWRITE_WEBP_QUALITY),
 }
 
 
@@ -29,7 +27,7 @@ def encode_image(
     quality: int | None = None,
     max_bytes: int | None = None,
 ) -> bytes:
-    """One message for a picture; `unpack_jpeg` gives its JPEG, WebP or AVIF file back.
+    """One message for a picture; `unpack_jpeg` gives its JPEG or WebP file back.
 
     image: (rows, columns) grey or (rows, columns, 3) BGR, 8 bits.
     quality: 1..100 on the format's own scale, 50 if neither is given; where max_bytes is given, the most.
@@ -63,9 +61,9 @@ def _within(image: NDArray[np.uint8], format: str, most_quality: int, max_bytes:
 
 
 def _encoded(image: NDArray[np.uint8], format: str, quality: int) -> bytes:
-    suffix, flag, others = _WRITERS[format]
+    suffix, flag = _WRITERS[format]
     try:
-        written, data = cv2.imencode(suffix, image, [flag, quality, *others])
+        written, data = cv2.imencode(suffix, image, [flag, quality])
     except cv2.error as error:
         raise EncodeError(f"this build of OpenCV writes no {format}: {error.err}") from error
     if not written:

@@ -166,6 +166,7 @@ def test_a_reply_is_within_its_budget_or_says_what_would_be(
         ),
         (ImageRequest(preset="x" * 50), "preset = .*must be at most 32 bytes"),
         (ImageRequest(format=9), "format = 9: must be one of FORMAT"),  # type: ignore[arg-type]
+        (ImageRequest(format=ImageRequest.FORMAT_AVIF), "format = FORMAT_AVIF: is not offered"),
     ],
 )
 def test_a_request_out_of_bounds_is_refused_by_field(request_: ImageRequest, named: str) -> None:

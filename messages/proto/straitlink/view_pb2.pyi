@@ -788,6 +788,7 @@ class ImageRequest(_message.Message):
         """the same pixels without the fixed tables; view_codec restores the file"""
         FORMAT_WEBP: ImageRequest._Format.ValueType  # 3
         FORMAT_AVIF: ImageRequest._Format.ValueType  # 4
+        """refused: not to be read within bounds"""
 
     class Format(_Format, metaclass=_FormatEnumTypeWrapper): ...
     FORMAT_UNSPECIFIED: ImageRequest.Format.ValueType  # 0
@@ -798,6 +799,7 @@ class ImageRequest(_message.Message):
     """the same pixels without the fixed tables; view_codec restores the file"""
     FORMAT_WEBP: ImageRequest.Format.ValueType  # 3
     FORMAT_AVIF: ImageRequest.Format.ValueType  # 4
+    """refused: not to be read within bounds"""
 
     REQUEST_ID_FIELD_NUMBER: _builtins.int
     PRESET_FIELD_NUMBER: _builtins.int

@@ -24,7 +24,7 @@ from perception_server.view_codec.occupancy_context import _code_level
 from tests.perception_server.view_codec.clouds import room_cloud
 from tests.perception_server.view_codec.test_jpeg import picture
 
-FORMATS: list[ImageFormat] = ["jpeg", "webp", "avif"]
+FORMATS: list[ImageFormat] = ["jpeg", "webp"]
 
 
 @pytest.mark.parametrize("format", FORMATS)
@@ -50,7 +50,7 @@ def test_a_budget_is_kept_and_used(format: ImageFormat) -> None:
     [
         (picture(), {"max_bytes": 20}, "max_bytes = 20"),
         (picture(), {"quality": 0}, "outside 1..100"),
-        (picture(), {"format": "gif"}, "must be one of jpeg"),
+        (picture(), {"format": "avif"}, "must be one of jpeg, webp"),
         (picture().astype(np.float32), {}, "must be uint8"),
         (np.zeros((0, 5), np.uint8), {}, "sides of 1"),
     ],
