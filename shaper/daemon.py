@@ -22,7 +22,7 @@ from shaper.endpoint import Endpoint
 from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.estimation.predicting import PredictingEstimator
 from shaper.events import Delivered, EncodingTrouble, Event, LinkState, PeerStarted, Receipt, Wanted
-from shaper.flood_gate import FloodGate
+from shaper.flood_gate import FloodGates
 from shaper.frames import IP_UDP_BYTES
 from shaper.link_end import LinkEnd, pump_link
 from shaper.link_estimator import LinkEstimator, PresetBands
@@ -73,7 +73,7 @@ class Daemon:
         self._outlet: BusOutlet | None = None
         self._listeners_until_s = 0.0  # until then what must not be lost waits for somebody to listen
         self._admission = Admission()
-        self._gate, self._peers_gate = FloodGate(0), FloodGate(0)
+        self._gates = FloodGates(0)
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
 
@@ -201,17 +201,15 @@ class Daemon:
         self._timer = self._loop.call_at(when_s, self._on_timer)
 
     def _filter_strangers(self, now_ns: int) -> None:
-        """Tell the kernel which session numbers are ours, and how many initiations, whenever that changes."""
+        """Tell the kernel which session numbers are ours, and how much of a flood, whenever that changes."""
         if not self._door.keys:
             return
         channel = self._link.channel
-        peers, others = channel.unwanted_initiations
         admission = Admission(
             tuple(channel.session_ids()),
             tuple(key.id for key in self._door.keys) if channel.ready else (),
             channel.peers,
-            self._gate.look(others, now_ns),
-            self._peers_gate.look(peers, now_ns),
+            self._gates.look(channel.unwanted, now_ns),
         )
         if admission != self._admission:
             self._admission = admission

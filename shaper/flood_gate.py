@@ -1,11 +1,14 @@
-"""How many of the initiations that come the kernel should let through, so that a flood takes no more room.
+"""How much of what is forged the kernel should let through, so that a flood takes no more room.
 
-Forged ones would fill the socket's buffer, and the peer's own datagrams would find no place in it. While
-they are more than a few hundred a second only one in n passes. Those from the peer's own address have a gate
-of their own: a stranger's flood does not keep out a peer that starts anew where it was.
+It would fill the socket's buffer, and the peer's own datagrams would find no place in it. While there are
+more than a few hundred a second only one in n passes. Initiations from the peer's own address have a gate
+of their own: a stranger's flood does not keep out a peer that starts anew where it was. Sealed datagrams
+from there have none: whoever forges those can take the link away altogether.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 _NS_PER_S = 1_000_000_000
 _LOOK_NS = _NS_PER_S // 10
@@ -13,6 +16,43 @@ _SUDDEN, _LEAST_NS = 64, 1_000_000  # so many at once are looked at without wait
 _TOO_MANY_PER_S, _FEW_PER_S = 200, 25
 _AIM_PER_S = 100
 _MOST = 4096
+
+
+@dataclass(slots=True)
+class Unwanted:
+    """What came and was no use so far: forged, repeated, too many.
+
+    of_peer: initiations from where the peer is or is looked for; initiations: from anywhere else.
+    sealed: datagrams with a session's number, from anywhere else.
+    """
+
+    of_peer: int = 0
+    initiations: int = 0
+    sealed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Openings:
+    """Of how many one may pass, by the same kinds."""
+
+    of_peer: int = 1
+    initiations: int = 1
+    sealed: int = 1
+
+
+class FloodGates:
+    """A gate for each kind."""
+
+    def __init__(self, now_ns: int) -> None:
+        self._of_peer, self._initiations, self._sealed = (FloodGate(now_ns) for _ in range(3))
+
+    def look(self, unwanted: Unwanted, now_ns: int) -> Openings:
+        """How far each should be open now."""
+        return Openings(
+            self._of_peer.look(unwanted.of_peer, now_ns),
+            self._initiations.look(unwanted.initiations, now_ns),
+            self._sealed.look(unwanted.sealed, now_ns),
+        )
 
 
 class FloodGate:

@@ -6,6 +6,7 @@ from collections import deque
 
 from shaper.carousel_wire import CLEAR, NUMBER_BITS, decode_clear, encode_clear
 from shaper.errors import DecodeError
+from shaper.flood_gate import Unwanted
 from shaper.handshake import Identity
 from shaper.notices import Notice
 from shaper.secure_channel import Address, Control
@@ -17,7 +18,6 @@ class OpenChannel:
     overhead_bytes = 0
     has_control = False
     ready = True
-    unwanted_initiations = (0, 0)
     peers: tuple[Address, ...] = ()
     peer: Identity | None = None
 
@@ -26,6 +26,7 @@ class OpenChannel:
         self.last_heard_ns: int | None = None
         self.notices: deque[Notice] = deque()
         self.strangers = 0
+        self.unwanted = Unwanted()
         self._carousel_number = 0
 
     def counters_dict(self) -> dict[str, int]:

@@ -24,18 +24,16 @@ from shaper.handshake import (
     Hello,
     Identity,
     Side,
-    check_key,
     decode_hello,
-    decode_initiation,
     encode_hello,
     encode_initiation,
     other_side,
     prologue,
 )
-from shaper.link_key import ID_BYTES, LinkKey
+from shaper.initiations import Initiations
+from shaper.link_key import LinkKey
 from shaper.noise import KEY_BYTES, Initiator, Responder
 from shaper.notices import Notice
-from shaper.rate_limit import RateLimit
 from shaper.session import CLEAR_BYTES, CONTROL, MAX_FORGED, MAX_SEALED, PROTECTED, TAG_BYTES, Session
 from shaper.whereabouts import Address, Whereabouts
 
@@ -55,7 +53,6 @@ _MAX_ASKED = 16  # and for its answer: of round trips up to eight seconds
 _UNDER_WAY_NS = 60 * _NS_PER_S
 _MAX_SESSIONS = 3  # in use, and before it
 _OVERLAP_NS = 60 * _NS_PER_S  # for which former keys still open what is late
-_REMEMBERED_INITIATIONS = 512
 
 
 @dataclass(slots=True)
@@ -112,8 +109,8 @@ class SecureChannel:
         self.last_heard_ns: int | None = None
         self._notices = ChannelNotices(now_ns)
         self._side = side
-        self._keys = {key.id: key for key in keys}
-        self._checks = {key.id: check_key(key) for key in keys}
+        self._initiations = Initiations(side, {key.id: key for key in keys}, self._notices, now_ns)
+        self.unwanted = self._initiations.unwanted
         self._own_key = keys[0]
         self._identity = identity
         self._whereabouts = Whereabouts(peer, random_bytes)
@@ -124,15 +121,10 @@ class SecureChannel:
         self._sessions: list[Session] = []  # oldest first
         self._current: Session | None = None  # the one to seal with
         self._by_id: dict[int, Session] = {}
-        self._seen_ephemerals: dict[bytes, None] = {}
-        self._unwanted = [0, 0]  # initiations
         self._to_send: deque[tuple[bytes, Address]] = deque(maxlen=_MAX_ANSWERED)
         self._attempts = 0
         self._initiate_at_ns = now_ns
         self._look_at_ns = now_ns  # not before this; whatever is heard only puts it off
-        # One limit for the peer's address, one for everybody else: neither can use up the other's.
-        self._read_limits = (RateLimit(200, 50, now_ns), RateLimit(200, 50, now_ns))
-        self._answer_limits = (RateLimit(10, 10, now_ns), RateLimit(5, 10, now_ns))
 
     # What drivers and the endpoint look at.
 
@@ -154,11 +146,6 @@ class SecureChannel:
     def session_ids(self) -> list[int]:
         """Numbers under which datagrams may come: for a filter in front of the socket."""
         return [*self._by_id, *self._asked]
-
-    @property
-    def unwanted_initiations(self) -> tuple[int, int]:
-        """How many from the peer's address and from others were not answered: forged, repeated, too many."""
-        return self._unwanted[0], self._unwanted[1]
 
     @property
     def peers(self) -> tuple[Address, ...]:
@@ -251,7 +238,7 @@ class SecureChannel:
         where = self._whereabouts.configured if self._attempts % 2 else self.peer_address
         self._asked[session_id] = _Asked(initiator, now_ns, where)
         key = self._own_key
-        self._to_send.append((encode_initiation(key, self._checks[key.id], message), where))
+        self._to_send.append((encode_initiation(key, self._initiations.check_of(key), message), where))
         self._attempts += 1
         if self._sessions:
             retry_ns = _SILENT_RETRY_NS
@@ -294,9 +281,8 @@ class SecureChannel:
             self.counters.strangers += 1
             return None
         proven = session.proven
-        opened = session.open(data, now_ns)
+        opened = self._unseal(session, data, source, now_ns)
         if opened is None:
-            self.counters.replayed += 1
             return None
         body, newest = opened
         if self._answered.pop(session.own_id, None) is not None:
@@ -312,6 +298,19 @@ class SecureChannel:
                 self._on_trial(body, source, now_ns)
                 return None
         return Control(body) if kind == CONTROL else body
+
+    def _unseal(
+        self, session: Session, data: bytes, source: Address, now_ns: int
+    ) -> tuple[bytes, bool] | None:
+        """As Session.open; None, and counted, for what is forged too."""
+        try:
+            opened = session.open(data, now_ns)
+            self.counters.replayed += opened is None
+        except DecodeError:
+            opened = None
+            self.counters.forged += 1
+        self.unwanted.sealed += opened is None and source not in self.peers
+        return opened
 
     def _heard(self, session: Session, now_ns: int) -> bool:
         """The peer has sealed something; whether it is a sign of its present life."""
@@ -362,35 +361,12 @@ class SecureChannel:
             del self._by_id[session.own_id]
 
     def _on_initiation(self, data: bytes, source: Address, now_ns: int) -> None:
-        known = 0 if source in self.peers else 1
-        before = self.counters.failed_handshakes + self.counters.refused_handshakes
-        self._consider(data, source, known, now_ns)
-        after = self.counters.failed_handshakes + self.counters.refused_handshakes
-        self._unwanted[known] += after - before
-
-    def _consider(self, data: bytes, source: Address, known: int, now_ns: int) -> None:
-        """An initiation: answered if it is the peer's, new, and not one of too many."""
-        key = self._keys.get(data[1 : 1 + ID_BYTES])
-        if key is None:
-            self.counters.failed_handshakes += 1
-            ours = [key.name for key in self._keys.values()]
-            return self._notices.unknown_key(data[1 : 1 + ID_BYTES], ours, source, now_ns)
-        try:
-            message = decode_initiation(data, self._checks[key.id])
-            ephemeral = message[:KEY_BYTES]
-            if ephemeral in self._seen_ephemerals or not self._read_limits[known].allows(now_ns):
-                self.counters.refused_handshakes += 1
-                return
-            responder = Responder(key.secret, prologue(other_side(self._side)))
-            hello = decode_hello(responder.read(message))
-        except DecodeError:
-            self.counters.failed_handshakes += 1
-            return self._notices.wrong_key(key, self._side, source, now_ns)
-        if not self._answer_limits[known].allows(now_ns):
-            self.counters.refused_handshakes += 1
-            return
-        self._remember_ephemeral(ephemeral)
-        self._answer(responder, hello, key.name, source, now_ns)
+        found = self._initiations.read(data, source, now_ns, of_peer=source in self.peers)
+        self.counters.failed_handshakes = self._initiations.failed
+        self.counters.refused_handshakes = self._initiations.refused
+        if found is not None:
+            responder, hello, key = found
+            self._answer(responder, hello, key.name, source, now_ns)
 
     def _answer(
         self, responder: Responder, hello: Hello, key_name: str, source: Address, now_ns: int
@@ -443,8 +419,3 @@ class SecureChannel:
             self._notices.secured(session.key_name, now_ns)
         unix_ns = now_ns + self._unix_minus_monotonic_ns
         self._notices.compare_clocks(session.hello.unix_ns, unix_ns, told_from_ns, now_ns)
-
-    def _remember_ephemeral(self, ephemeral: bytes) -> None:
-        if len(self._seen_ephemerals) >= _REMEMBERED_INITIATIONS:
-            del self._seen_ephemerals[next(iter(self._seen_ephemerals))]
-        self._seen_ephemerals[ephemeral] = None

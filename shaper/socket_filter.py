@@ -13,6 +13,7 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from shaper.flood_gate import Openings
 from shaper.handshake import ANSWER, ANSWER_BYTES, INITIATION, INITIATION_BYTES
 from shaper.session import CONTROL, PROTECTED
 from shaper.whereabouts import Address
@@ -35,20 +36,22 @@ _INSTRUCTION = struct.Struct("=HBBI")
 Instruction = tuple[int, int, int, int]  # code, jump if true, jump if false, constant
 
 
+_ALL_OPEN = Openings()
+
+
 @dataclass(frozen=True, slots=True)
 class Admission:
     """What may reach the program: datagrams of these sessions, and handshakes.
 
     key_ids: initiations that name another key are dropped; none while no session is there yet, so that
-    the channel can tell of a key that is not ours. one_in, one_in_of_peer: powers of two; of the
-    initiations from anywhere, or from where the peer is or should be, only one in so many passes, by chance.
+    the channel can tell of a key that is not ours. peers: where the peer is or should be. openings: of
+    what comes from there or from elsewhere only one in so many passes, by chance; powers of two.
     """
 
     session_ids: tuple[int, ...] = ()
     key_ids: tuple[bytes, ...] = ()
     peers: tuple[Address, ...] = ()
-    one_in: int = 1
-    one_in_of_peer: int = 1
+    openings: Openings = _ALL_OPEN
 
 
 def filter_program(admission: Admission) -> list[Instruction]:
@@ -59,15 +62,16 @@ def filter_program(admission: Admission) -> list[Instruction]:
     by_key = (
         [(_LOAD_WORD, 0, 0, _SESSION_AT), *_any_of(keys)] if 0 < len(keys) <= _MAX_KEYS else [_end(_TAKE)]
     )
-    anybodys = [*_by_chance(admission.one_in), *by_key]
-    peers = [*_by_chance(admission.one_in_of_peer), *by_key]
-    by_source = _by_source(admission.peers, anybodys, peers) if anybodys != peers else peers
+    openings, peers = admission.openings, admission.peers
+    anybodys = [*_by_chance(openings.initiations), *by_key]
+    by_source = _by_source(peers, anybodys, [*_by_chance(openings.of_peer), *by_key])
     initiation = [*_if_length(INITIATION_BYTES), *by_source]
+    sealed = _by_source(peers, [*_by_chance(openings.sealed), *by_session], by_session)
     answer = [*_if_length(ANSWER_BYTES), *by_session]
     program: list[Instruction] = [(_LOAD_BYTE, 0, 0, _KIND_AT), (_AND, 0, 0, 0x0F)]
     for kind, block in (
-        (PROTECTED, by_session),
-        (CONTROL, by_session),
+        (PROTECTED, sealed),
+        (CONTROL, sealed),
         (INITIATION, initiation),
         (ANSWER, answer),
     ):
@@ -90,6 +94,8 @@ def _by_source(
     sources: Sequence[Address], otherwise: list[Instruction], theirs: list[Instruction]
 ) -> list[Instruction]:
     """One way to judge what comes from these addresses, another one for all else."""
+    if otherwise == theirs:
+        return theirs
     program = otherwise
     for host, port in reversed(sources):
         address = ipaddress.ip_address(host.partition("%")[0])

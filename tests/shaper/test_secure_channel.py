@@ -144,7 +144,11 @@ def test_a_stranger_costs_bounded_memory_and_gets_no_answer() -> None:
     pair.pump(pair.robot)
     assert not [d for _, d, to in pair.robot.sent[sent:] if to == STRANGER]
     channel = pair.robot.channel
-    assert len(channel._by_id) <= 3 and len(channel._seen_ephemerals) <= 512 and not channel._answered
+    assert (
+        len(channel._by_id) <= 3
+        and len(channel._initiations._seen_ephemerals) <= 512
+        and not channel._answered
+    )
     assert channel.counters.failed_handshakes > 0
     assert says(pair, pair.operator, b"still here")
 

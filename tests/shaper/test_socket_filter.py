@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shaper.flood_gate import FloodGate
+from shaper.flood_gate import FloodGate, FloodGates, Openings
 from shaper.handshake import ANSWER_BYTES, INITIATION_BYTES
 from shaper.socket_filter import SO_ATTACH_FILTER, Admission, Instruction, encode_program, filter_program
 from shaper.udp import UdpLink
@@ -90,7 +90,7 @@ def test_the_filter_takes_sessions_and_handshakes_only(payload: bytes, taken: bo
 
 @given(st.binary(max_size=100), st.lists(st.integers(0, 0xFFFF), max_size=60))
 def test_the_filter_ends_on_any_datagram(data: bytes, ids: list[int]) -> None:
-    takes(filter_program(Admission(tuple(ids), (KEY.id,), (PEER, ANYBODY), 64, 8)), data)
+    takes(filter_program(Admission(tuple(ids), (KEY.id,), (PEER, ANYBODY), Openings(8, 64, 16))), data)
 
 
 def test_without_a_session_a_foreign_key_can_be_told() -> None:
@@ -129,7 +129,7 @@ def test_the_kernel_drops_what_the_filter_drops() -> None:
 
 
 def test_in_a_flood_one_initiation_in_many_passes_and_all_of_the_session() -> None:
-    program = filter_program(Admission((OURS,), (KEY.id,), one_in=64))
+    program = filter_program(Admission((OURS,), (KEY.id,), openings=Openings(initiations=64)))
     initiation = bytes([3]) + KEY.id + bytes(INITIATION_BYTES - 5)
     assert sum(takes(program, initiation, chance) for chance in range(640)) == 10
     assert all(takes(program, sealed(0x02, OURS), chance) for chance in range(64))
@@ -138,13 +138,13 @@ def test_in_a_flood_one_initiation_in_many_passes_and_all_of_the_session() -> No
 
 @pytest.mark.parametrize("peer", [PEER, ("2001:db8::7", 9002)])
 def test_a_strangers_flood_does_not_close_the_gate_for_the_peers_address(peer: tuple[str, int]) -> None:
-    program = filter_program(Admission((OURS,), (KEY.id,), (ADDRESSES["operator"], peer), 4096, 1))
+    program = filter_program(Admission((OURS,), (KEY.id,), (ADDRESSES["operator"], peer), Openings(1, 4096)))
     assert all(takes(program, INITIATION, chance, peer) for chance in range(64))
     assert not takes(program, INITIATION, 1, ANYBODY)
     assert not takes(program, INITIATION, 1, (peer[0], peer[1] + 1))
     assert not takes(program, INITIATION, 1, ("2001:db8::8", peer[1]))
     assert not takes(program, bytes([3]) + b"none" + INITIATION[5:], 0, peer)
-    spoofed = filter_program(Admission((OURS,), (KEY.id,), (peer,), 1, 64))
+    spoofed = filter_program(Admission((OURS,), (KEY.id,), (peer,), Openings(64, 1)))
     assert sum(takes(spoofed, INITIATION, chance, peer) for chance in range(640)) == 10
 
 
@@ -169,16 +169,31 @@ def test_a_peer_that_starts_anew_in_a_flood_is_answered_at_once() -> None:
     for _ in range(300):
         forged = INITIATION[:5] + noise.randbytes(INITIATION_BYTES - 5)
         pair.receive(pair.operator, forged, ANYBODY)
-    of_peer, of_others = pair.operator.channel.unwanted_initiations
-    assert (of_peer, of_others) == (0, 300)
-    one_in, one_in_of_peer = (FloodGate(0).look(count, S // 1000) for count in (of_others, of_peer))
-    assert one_in > 64
     operator = pair.operator.channel
-    admission = Admission(tuple(operator.session_ids()), (KEY.id,), operator.peers, one_in, one_in_of_peer)
+    assert (operator.unwanted.of_peer, operator.unwanted.initiations) == (0, 300)
+    openings = FloodGates(0).look(operator.unwanted, S // 1000)
+    assert openings.initiations > 64
+    admission = Admission(tuple(operator.session_ids()), (KEY.id,), operator.peers, openings)
     pair.start(pair.robot)
     pair.pump(pair.robot)
     _, first_word, _ = pair.robot.sent[-1]
     assert takes(filter_program(admission), first_word, 1, pair.robot.address)
+
+
+def test_a_flood_of_forged_sealed_datagrams_leaves_the_peers_alone() -> None:
+    pair = SecuredPair()
+    pair.advance(S)
+    operator = pair.operator.channel
+    forged = bytes([2]) + operator._current.own_id.to_bytes(2, "little") + bytes(60)
+    for _ in range(300):
+        pair.receive(pair.operator, forged, ANYBODY)
+    assert operator.unwanted.sealed == 300
+    openings = FloodGates(0).look(operator.unwanted, S // 1000)
+    program = filter_program(Admission(tuple(operator.session_ids()), (KEY.id,), operator.peers, openings))
+    assert not takes(program, forged, 1, ANYBODY) and takes(program, forged, 0, ANYBODY)
+    assert takes(program, forged, 1, pair.robot.address)
+    pair.receive(pair.operator, forged, pair.robot.address)
+    assert operator.unwanted.sealed == 300, "whoever forges the peer's address can cut the link anyway"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a filter of Linux")
@@ -186,7 +201,9 @@ def test_the_kernel_lets_one_in_many_through() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.setblocking(False)
-        program = encode_program(filter_program(Admission((OURS,), (KEY.id,), one_in=8)))
+        program = encode_program(
+            filter_program(Admission((OURS,), (KEY.id,), openings=Openings(initiations=8)))
+        )
         buffer = ctypes.create_string_buffer(program)
         head = struct.pack("HP", len(program) // 8, ctypes.addressof(buffer))
         receiver.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, head)
