@@ -1,8 +1,9 @@
 """Falls of the link's rate that come at regular times: learnt from those that came, expected again.
 
 A fall is known by the rates before and after it. Three of a kind, evenly spaced, are a rule; the next one is
-expected one interval after the last. One that does not come ends the rule, and three more must come before
-there is another: so a link that only looked regular costs little, and less than once in three of its falls.
+expected one interval after the last. One that does not come in time ends the rule, and twice as many falls as
+before must come before there is another of this kind: so a link that only looked regular costs little, and
+ever less.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ NEEDED = 3  # falls, evenly spaced
 LEAST_INTERVAL_NS = 5_000_000_000  # what comes more often is not worth slowing for
 SPREAD_NS, SPREAD_SHARE = 150_000_000, 0.002  # intervals that differ by less, or by this share, are even
 SAME_RATIO = 1.25  # rates within this are one
-_MOST_KINDS = 16
+_MOST_KINDS, _MOST_NEEDED = 16, 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +31,16 @@ class Expected:
 
 @dataclass(slots=True)
 class _Kind:
-    """Falls between the same two rates. news_ns: when each was known, the newest last."""
+    """Falls between the same two rates. news_ns: when the last NEEDED were known, the newest last.
+
+    since_rule: how many came since a rule of theirs was broken; needed: how many must.
+    """
 
     from_bps: float
     to_bps: float
     news_ns: deque[int] = field(default_factory=lambda: deque(maxlen=NEEDED))
+    since_rule: int = 0
+    needed: int = NEEDED
 
 
 class RegularFalls:
@@ -52,6 +58,7 @@ class RegularFalls:
             self._kinds = [*self._kinds[-_MOST_KINDS + 1 :], kind]
         kind.from_bps, kind.to_bps = from_bps, to_bps
         kind.news_ns.append(news_ns)
+        kind.since_rule += 1
 
     def expected(self, rate_bps: float) -> Expected | None:
         """The next fall from this rate that a rule foretells; its time may have passed."""
@@ -59,12 +66,14 @@ class RegularFalls:
         return min((each for each in found if each is not None), key=lambda each: each.news_ns, default=None)
 
     def on_missed(self, expected: Expected) -> None:
-        """It did not come."""
-        rates = expected.from_bps, expected.to_bps
-        self._kinds = [kind for kind in self._kinds if (kind.from_bps, kind.to_bps) != rates]
+        """It did not come, or was not noticed in time."""
+        for kind in self._kinds:
+            if (kind.from_bps, kind.to_bps) == (expected.from_bps, expected.to_bps):
+                kind.since_rule, kind.needed = 0, min(2 * kind.needed, _MOST_NEEDED)
+                kind.news_ns.clear()
 
     def _next(self, kind: _Kind) -> Expected | None:
-        if len(kind.news_ns) < NEEDED:
+        if kind.since_rule < kind.needed:
             return None
         times_ns = list(kind.news_ns)
         intervals_ns = [later - earlier for earlier, later in pairwise(times_ns)]

@@ -59,9 +59,11 @@ def test_a_fall_that_does_not_come_ends_the_rule() -> None:
     assert expected is not None
     falls.on_missed(expected)
     assert falls.expected(FAST) is None
-    for at_s in (540, 660):
-        falls.on_fall(at_s * S, FAST, THIN)
+    for fall in range(2 * NEEDED):
         assert falls.expected(FAST) is None
+        falls.on_fall((540 + 120 * fall) * S, FAST, THIN)
+    again = falls.expected(FAST)
+    assert again is not None and again.news_ns == (540 + 120 * 2 * NEEDED) * S
 
 
 @given(st.lists(st.tuples(st.integers(5_000, 60_000), st.booleans()), max_size=60))
