@@ -2,9 +2,9 @@
 
     python -m bench.wire_flood [--rate 100000] [--seconds 10] [--initiations] [--json]
 
-First the heartbeat alone, then with random datagrams to the operator's shaper's port, or with forged
-initiations that name the link's key. cpu_of_a_core: of that shaper. On a machine with
-few processors the flood's own sending is part of the load.
+First the heartbeat alone; then with random datagrams to the operator's shaper's port, or with forged
+initiations that name the link's key; then with the same flood beside it, to a port that nobody reads: what
+its sending alone costs on a machine with few processors. cpu_of_a_core: of that shaper while it is flooded.
 """
 
 from __future__ import annotations
@@ -74,32 +74,43 @@ def _beat(rig: WireRig, seconds: float) -> list[float]:
     return [r["age_ns"] / 1e9 for r in records if r["age_ns"] is not None]
 
 
+def _flooded(
+    rig: WireRig, address: str, rate_hz: int, seconds: float, key_id: bytes
+) -> tuple[list[float], int]:
+    """Ages while an address is flooded, and how many datagrams a second that was."""
+    sent = multiprocessing.Value("q", 0)
+    attack = multiprocessing.Process(target=_flood, args=(address, rate_hz, seconds, key_id, sent))
+    attack.start()
+    ages = _beat(rig, seconds)
+    attack.join()
+    return ages, round(sent.value / seconds)
+
+
 def measure(rate_hz: int, seconds: float, *, initiations: bool) -> dict[str, Any]:
-    """Ages without and with the flood."""
+    """Ages without the flood, with it, and with it beside."""
     with tempfile.TemporaryDirectory() as folder, WireRig(Path(folder)) as rig:
         rig.start_all()
         time.sleep(3)
         key_id = read_key_file(Path(folder) / KEY_FILE).id if initiations else b""
         calm = _beat(rig, seconds)
-        sent = multiprocessing.Value("q", 0)
-        attack = multiprocessing.Process(
-            target=_flood, args=(rig.addresses.operator_shaper, rate_hz, seconds, key_id, sent)
-        )
-        attack.start()
         cpu_s = rig.cpu_s("operator")
-        flooded = _beat(rig, seconds)
+        flooded, per_s = _flooded(rig, rig.addresses.operator_shaper, rate_hz, seconds, key_id)
         cpu_s = rig.cpu_s("operator") - cpu_s
-        attack.join()
-    p95_calm, p95_flooded = (float(np.percentile(ages, 95)) for ages in (calm, flooded))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as nobody:
+            nobody.bind(("127.0.0.1", 0))
+            beside, _ = _flooded(rig, f"127.0.0.1:{nobody.getsockname()[1]}", rate_hz, seconds, key_id)
+    p95_calm, p95_flooded, p95_beside = (float(np.percentile(ages, 95)) for ages in (calm, flooded, beside))
     return {
         "kind": "initiations" if initiations else "random",
         "cpu_of_a_core": round(cpu_s / (seconds + 1), 3),
-        "datagrams_per_s": round(sent.value / seconds),
+        "datagrams_per_s": per_s,
         "heartbeats_calm": len(calm),
         "heartbeats_flooded": len(flooded),
         "age_p95_calm_s": round(p95_calm, 4),
         "age_p95_flooded_s": round(p95_flooded, 4),
+        "age_p95_beside_s": round(p95_beside, 4),
         "ratio": round(p95_flooded / p95_calm, 3),
+        "ratio_to_beside": round(p95_flooded / p95_beside, 3),
     }
 
 
