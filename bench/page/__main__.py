@@ -22,10 +22,13 @@ def main() -> None:
     sections = []
     for name, make in SECTIONS.items():
         path = FOLDER / f"{name}.json"
-        if path.exists():
-            sections.append(make(json.loads(path.read_text())))
-        else:
+        if not path.exists():
             print(f"{path} is not there: its section is left out")
+            continue
+        try:
+            sections.append(make(json.loads(path.read_text())))
+        except (KeyError, TypeError) as error:
+            print(f"{path} is of another version of its bench ({error!r}): its section is left out")
     page = FOLDER / "index.html"
     page.write_text(html_page(sections))
     print(f"wrote {page}")
