@@ -8,21 +8,22 @@ hold     the peer is silent, or what was sent is not reported in time: a trickle
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import islice
 
 from shaper.estimation.bands import Bands
 from shaper.estimation.baseline import Baseline
 from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight, Flights
+from shaper.estimation.followed_rate import FollowedRate
 from shaper.estimation.ideas import Ideas
 from shaper.estimation.overdue import is_overdue
 from shaper.estimation.round_trips import RoundTrips
 from shaper.estimation.silence import HICCUP_NS, Silence
+from shaper.estimation.sizes import TRAIN_BYTES, full_bytes, train_bytes
 from shaper.estimation.states import Input, State, follow
-from shaper.estimation.trains import TRAIN_BYTES, TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains, train_bytes
+from shaper.estimation.trains import TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains
 from shaper.estimation.trickle import TRICKLE_BYTES, trickle_ns, urgent_trickle_ns
 from shaper.estimation.virtual_queue import VirtualQueue
-from shaper.link_estimator import PresetBand, datagram_wire_bytes
+from shaper.link_estimator import PresetBand
 from shaper.path import ReportedPacket, SentPacket
 
 NS_PER_S = 1_000_000_000
@@ -32,11 +33,7 @@ START_BPS = 60_000  # assumed until the first train is reported; MIT's thin band
 LEAST_BPS, MOST_BPS = 2_000, 100_000_000
 ALLOWANCE_NS = 4 * NS_PER_MS  # queue that is kept so that the link never runs dry, and every spread tells
 ALLOWANCE_NOISE = 0.25  # and this much per noise of arrivals
-CAUTION = 10  # a band that is not known may be so many times slower than the last
-SAME_CAUTION = 2  # ... unless the peer's words take just as long as before the silence
-LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we are made for
-LEAST_DATAGRAM_BYTES = 180  # on the thinnest links, where a larger one ...
-MOST_AIRTIME_NS = 150 * NS_PER_MS  # ... would take longer than this
+SAME_CAUTION = 2  # a band may be so many times slower, though the peer's words take as long as before
 
 REPLIES, REPLY_NS = 3, 40 * NS_PER_MS  # single datagrams between the first trains, to report, so far apart
 RISEN_RATIO = 1.5  # trains this much faster than the old rate are another band's
@@ -49,8 +46,6 @@ QUICKER_NS = 8 * NS_PER_MS  # a delay lower by this is another band, or a higher
 NOISE_FACTOR = 4.0
 
 ANCHOR_NOISE_NS = 500_000  # one arrival more is looked at per this much noise
-FOLLOW = 0.5  # how far the rate follows its average at each report
-DRIFT_RATIO = 1.18  # and how far it may get from where a change put it, before that counts as one
 SETTLED_NS = 3 * NS_PER_S  # after which a band is worth remembering
 FRESH_CONFIDENCE, DOUBTFUL_CONFIDENCE = 0.7, 0.3  # in run, but not settled yet; in probe
 _NEVER_NS = 1 << 62
@@ -77,7 +72,7 @@ class AdaptiveEstimator:
         self._max_wire_bytes = max_wire_bytes
         self._ideas = ideas or Ideas()
         self._known_bps: float | None = None  # the rate before the link changed, or now in run
-        self._centre_bps = 0.0  # where the last change put the rate
+        self._followed = FollowedRate()
         self._flights = Flights()
         self._sent_bits = 0  # those of the pacer that flights account for
         self._dispersion = Dispersion()
@@ -101,9 +96,7 @@ class AdaptiveEstimator:
 
     @property
     def datagram_bytes(self) -> int:
-        full_bytes = datagram_wire_bytes(self.rate_bps, self._max_wire_bytes)
-        longest_bytes = self.rate_bps * MOST_AIRTIME_NS // (8 * NS_PER_S)
-        return max(min(full_bytes, longest_bytes), min(full_bytes, LEAST_DATAGRAM_BYTES))
+        return full_bytes(self.rate_bps, self._max_wire_bytes)
 
     @property
     def band(self) -> str:
@@ -186,7 +179,7 @@ class AdaptiveEstimator:
                 self._begin_probing(now_ns)
         elif self.state is State.RUN:
             if quicker and self._ideas.quicker:
-                self._doubt(now_ns)
+                self._trains.doubt(self._rtts.shortest_ns, now_ns)
             self._look_for_more(now_ns)
             self._look_for_overdue(sent_us, now_ns)
         elif self.state is State.PROBE and now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
@@ -239,7 +232,9 @@ class AdaptiveEstimator:
                 self._resume(rate_bps, now_ns)
             else:
                 self._change(rate_bps, now_ns)
-                self._doubt(now_ns)  # few trains, perhaps with noise: it may be more
+                self._trains.doubt(
+                    self._rtts.shortest_ns, now_ns
+                )  # few trains, perhaps with noise: it may be more
         elif self.state is State.HOLD and not self._silent:
             self._enter(Input.HEARD, now_ns)
             self._begin_probing(now_ns)
@@ -266,10 +261,7 @@ class AdaptiveEstimator:
     def _begin_probing(self, now_ns: int) -> None:
         """The cautious rate: a band that was seen, or a tenth of the last."""
         known_bps = self._known_bps or START_BPS
-        cautious_bps = max(known_bps / CAUTION, min(known_bps, LEAST_CAUTIOUS_BPS))
-        lowest = self._bands.lowest_below(self._known_bps) if self._known_bps and self._ideas.bands else None
-        if lowest is not None:
-            cautious_bps = max(cautious_bps, lowest.rate_bps)
+        cautious_bps = self._bands.cautious_bps(known_bps, seen=self._ideas.bands)
         if self._silent and self._silence.same:  # a blackout, more likely than another band
             cautious_bps = known_bps / SAME_CAUTION
             self._trains.interval_ns = 0
@@ -321,7 +313,7 @@ class AdaptiveEstimator:
         fallen_ns = max(self._baseline.lower(flight.delay_ns(rate_bps)) for flight in arrived)
         if fallen_ns > QUICKER_NS + NOISE_FACTOR * noise_ns and self._ideas.quicker:
             self._dispersion.forget_before(arrived[-1].sent_ns)
-            self._doubt(now_ns)
+            self._trains.doubt(self._rtts.shortest_ns, now_ns)
         fallen_bps = self._dispersion.fallen(rate_bps)
         if fallen_bps is not None:
             self._enter(Input.FALL, now_ns)
@@ -335,15 +327,13 @@ class AdaptiveEstimator:
             self._enter(Input.RISE, now_ns)
             self._epoch_ns = arrived[0].sent_ns
             self._change(risen_bps, now_ns)
-            self._doubt(now_ns)
+            self._trains.doubt(self._rtts.shortest_ns, now_ns)
             return
         average_bps = self._dispersion.average(rate_bps)
         if average_bps is not None:
-            rate_bps += FOLLOW * (average_bps - rate_bps)
-            if rate_bps > self._centre_bps * DRIFT_RATIO:
-                self._doubt(now_ns)
-            rate_bps = min(self._centre_bps * DRIFT_RATIO, max(self._centre_bps / DRIFT_RATIO, rate_bps))
-            self._centre_bps += 0.002 * (rate_bps - self._centre_bps)
+            rate_bps, beyond = self._followed.follow(rate_bps, average_bps)
+            if beyond:
+                self._trains.doubt(self._rtts.shortest_ns, now_ns)
             self._set_rate(rate_bps)
         if self._baseline.on_arrived(arrived, rate_bps, noise_ns, now_ns) or not self._baseline.pausing:
             self._anchor(now_ns)
@@ -370,8 +360,7 @@ class AdaptiveEstimator:
         if base_ns is None or rate_bps is None or not self._ideas.anchor:
             return
         looked_at = min(8, 1 + int(self._noise_ns / ANCHOR_NOISE_NS), len(self._flights.acked))
-        newest = islice(reversed(self._flights.acked), looked_at)
-        best = min(newest, key=lambda f: f.delay_ns(rate_bps) - f.wait_ns)
+        best = self._flights.least_late(looked_at, rate_bps)
         wait_ns = max(0, best.delay_ns(rate_bps) - base_ns)
         self._set_queue(self._flights.simulate(rate_bps, best, wait_ns, now_ns), now_ns)
 
@@ -379,7 +368,7 @@ class AdaptiveEstimator:
         """The link carries another rate since the epoch; its delay may be another too."""
         rate_bps = min(MOST_BPS, max(LEAST_BPS, rate_bps))
         self._bands.leave()
-        self._centre_bps = rate_bps
+        self._followed.restart(rate_bps)
         self._settled_from_ns = now_ns
         self._set_rate(rate_bps)
         self._dispersion.forget()
@@ -391,15 +380,12 @@ class AdaptiveEstimator:
     def _resume(self, rate_bps: float, now_ns: int) -> None:
         """The band is the old one; of a queue whose end was awaited, the wait goes on."""
         self._set_rate(rate_bps)
-        newest = self._flights.acked[-1] if self._flights.acked else None
         if self._baseline.delay_ns is None:
             self._await_empty(min(self.pacer.wait_ns(now_ns), self._most_queue_ns(rate_bps)), now_ns)
             return
-        queue_ns = 0
-        if newest is not None:
-            wait_ns = max(0, newest.delay_ns(rate_bps) - self._baseline.delay_ns)
-            queue_ns = self._flights.simulate(rate_bps, newest, wait_ns, now_ns)
-        self._set_queue(queue_ns, now_ns)
+        newest = self._flights.acked[-1]  # there is one: by such the delay is known
+        wait_ns = max(0, newest.delay_ns(rate_bps) - self._baseline.delay_ns)
+        self._set_queue(self._flights.simulate(rate_bps, newest, wait_ns, now_ns), now_ns)
         self.pacer.not_before_ns = now_ns
 
     def _await_empty(self, queue_ns: int, now_ns: int) -> None:
@@ -422,19 +408,13 @@ class AdaptiveEstimator:
         if is_overdue(unreported, misses, base_ns, rate_bps, self._noise_ns, peer_us):
             self._hold(Input.OVERDUE, unreported[0].sent_ns, now_ns)
 
-    def _doubt(self, now_ns: int) -> None:
-        """The link may carry more than it did."""
-        self._trains.doubt(self._rtts.shortest_ns, now_ns)
-
     def _look_for_more(self, now_ns: int) -> None:
-        """A train now and then, while it is in doubt whether the link carries more."""
+        """A train now and then, while it is in doubt whether the link carries more than it did."""
         length = self._trains.next_length(
             self.pacer.not_before_ns, self._rtts.newest_ns, self._noise_ns, now_ns
         )
         if length:
             self._probes_left = self.pacer.free = length
-
-    # Small things.
 
     @property
     def _noise_ns(self) -> float:
@@ -443,11 +423,10 @@ class AdaptiveEstimator:
 
     def _apparent_delay_ns(self) -> int:
         """The empty link's delay by the newest arrivals, should the virtual queue be right."""
-        rate_bps = self._known_bps
-        if rate_bps is None:
+        if self._known_bps is None or not self._flights.acked:
             return -_NEVER_NS
-        newest = islice(reversed(self._flights.acked), 10)
-        return min((f.delay_ns(rate_bps) - f.wait_ns for f in newest), default=-_NEVER_NS)
+        best = self._flights.least_late(10, self._known_bps)
+        return best.delay_ns(self._known_bps) - best.wait_ns
 
     def _enter(self, happened: Input, now_ns: int) -> None:
         self.state = follow(self.state, happened)

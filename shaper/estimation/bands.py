@@ -9,6 +9,8 @@ _SAME_RTT = (30_000_000, 0.25)  # ... if their round trips differ by less than t
 _QUEUED_NS = 80_000_000  # of a round trip may be queue
 _FOLLOW = 0.1  # how quickly a band's figures follow the newest
 _MOST = 16
+CAUTION = 10  # a band that is not known may be so many times slower than the last
+LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we are made for
 
 
 @dataclass(slots=True)
@@ -58,6 +60,12 @@ class Bands:
             if b.rate_bps >= least_bps and -_SAME_RTT[0] < rtt_ns - b.rtt_ns < _QUEUED_NS
         ]
         return min(rates, default=least_bps)
+
+    def cautious_bps(self, known_bps: float, *, seen: bool = True) -> float:
+        """How slow a link of this rate may have become: a band that was seen, if `seen`, or a tenth."""
+        tenth_bps = max(known_bps / CAUTION, min(known_bps, LEAST_CAUTIOUS_BPS))
+        lowest = self.lowest_below(known_bps) if seen else None
+        return tenth_bps if lowest is None else max(tenth_bps, lowest.rate_bps)
 
     def lowest_below(self, rate_bps: float) -> Band | None:
         """The slowest band that is clearly slower than this."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from itertools import takewhile
+from itertools import islice, takewhile
 
 from shaper.frames import STAMP_BITS
 from shaper.path import ReportedPacket
@@ -66,6 +66,11 @@ class Flights:
             self.acked.append(flight)
             arrived.append(flight)
         return arrived
+
+    def least_late(self, count: int, rate_bps: float) -> Flight:
+        """Of the newest arrivals (there is one), the one whose delay exceeds its computed wait by least."""
+        newest = islice(reversed(self.acked), count)
+        return min(newest, key=lambda flight: flight.delay_ns(rate_bps) - flight.wait_ns)
 
     def bits_in_flight(self) -> int:
         """All that may still be queued."""

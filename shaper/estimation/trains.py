@@ -1,4 +1,4 @@
-"""Trains: small datagrams at once, whose spacing on arrival tells the rate. When to send one, how large."""
+"""Trains: small datagrams at once, whose spacing on arrival tells the rate. When to send one, how long."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 
 TRAIN_DATAGRAMS = 3
-TRAIN_BYTES = 150  # on the wire; small, as the link may be thin now, and large against headers
-TRAIN_AIRTIME_NS = 8 * NS_PER_MS  # of a train's datagram while the rate is known ...
-TRAIN_NOISES = 2.0  # ... and this much per noise of arrivals
 MOST_LONGER, LONGER_NOISE_NS = 5, 1_200_000  # one more per this much noise of arrivals, and so many at most
 TRAIN_INTERVAL_NS = 20 * NS_PER_MS  # at least, from the end of one to the start of the next
 START_INTERVAL_NS, MAX_START_INTERVAL_NS = 300 * NS_PER_MS, 3 * NS_PER_S  # while no train was reported
@@ -48,9 +45,3 @@ class Trains:
             return 0
         self._sent_ns = now_ns
         return TRAIN_DATAGRAMS + min(MOST_LONGER, int(noise_ns / LONGER_NOISE_NS))
-
-
-def train_bytes(rate_bps: int, noise_ns: float, most_bytes: int) -> int:
-    """Size on the wire of a train's datagram."""
-    airtime_ns = TRAIN_AIRTIME_NS + int(TRAIN_NOISES * noise_ns)
-    return min(most_bytes, max(TRAIN_BYTES, rate_bps * airtime_ns // (8 * NS_PER_S)))
