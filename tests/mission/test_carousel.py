@@ -24,9 +24,13 @@ SECONDS = 12.0
 
 
 def fly(
-    fast: Profile | None, rate_bps: int = 0, trace: TraceLog | None = None, seed: int = 1
+    fast: Profile | None,
+    rate_bps: int = 0,
+    trace: TraceLog | None = None,
+    seed: int = 1,
+    seconds: float = SECONDS,
 ) -> dict[str, Any]:
-    mission = settings("finals-slow", "finals", SECONDS, seed)
+    mission = settings("finals-slow", "finals", seconds, seed)
     plan = None if fast is None else CarouselPlan(fast, rate_bps)
     return run_mission(replace(mission, carousel=plan), trace)
 
@@ -66,7 +70,7 @@ def test_the_thin_link_is_not_disturbed_and_every_message_is_in_exactly_one_coun
 
 
 def test_without_a_second_link_what_goes_round_stays_on_the_robot() -> None:
-    topics = fly(None)["topics"]
+    topics = fly(None, seconds=3)["topics"]
     for key in GOES_ROUND:
         assert topics[key]["delivered"] == 0
         assert topics[key]["local"] == topics[key]["offered"] > 0
@@ -74,7 +78,7 @@ def test_without_a_second_link_what_goes_round_stays_on_the_robot() -> None:
 
 def test_loss_in_the_windows_is_made_good_by_the_next_round() -> None:
     lossy = with_faults(load_profile("constant-100m-5ms"), loss_ratio=0.02)
-    topics = fly(lossy, 90_000_000)["topics"]
+    topics = fly(lossy, 90_000_000, seconds=4)["topics"]
     image = topics["robot/head_camera/image"]  # of 98 parts: one in seven arrives whole at once
     assert image["delivered"] > 0.1 * image["offered"]
     scan = topics["robot/lidar/scan"]
@@ -83,7 +87,7 @@ def test_loss_in_the_windows_is_made_good_by_the_next_round() -> None:
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
     fast = load_profile("finals-fast")
-    first, again, other = (fly(fast, 5_000_000, seed=seed)["trace_sha256"] for seed in (3, 3, 4))
+    first, again, other = (fly(fast, 5_000_000, seed=seed, seconds=3)["trace_sha256"] for seed in (3, 3, 4))
     assert first == again != other
 
 
