@@ -438,16 +438,6 @@ def test_sizes_are_decimal(value: int, words: str) -> None:
     assert size(value) == words
 
 
-@pytest.mark.parametrize(
-    ("value_bps", "words"),
-    [
-        (999_512, "1.00 Mbit/s"),
-        (95_000, "95.0 kbit/s"),
-        (9600, "9.60 kbit/s"),
-        (285e6, "285 Mbit/s"),
-        (9_999_000, "10.0 Mbit/s"),
-        (999_400, "999 kbit/s"),
-    ],
-)
-def test_rates_have_three_digits(value_bps: float, words: str) -> None:
-    assert rate(value_bps) == words
+def test_rates_have_three_digits() -> None:
+    told = [rate(value_bps) for value_bps in (999_512, 95_000, 9600, 285e6, 9_999_000, 999_400)]
+    assert told == ["1.00 Mbit/s", "95.0 kbit/s", "9.60 kbit/s", "285 Mbit/s", "10.0 Mbit/s", "999 kbit/s"]
