@@ -14,6 +14,7 @@ from shaper.control_frames import ControlFrames
 from shaper.datagram import append_hello, append_padding, decode_datagram, write_header
 from shaper.endpoint_settings import Counters, EndpointSettings
 from shaper.errors import DecodeError
+from shaper.estimate_exchange import link_state
 from shaper.events import Event, LinkState, PeerStarted, Wanted
 from shaper.frames import (
     HEADER_BYTES,
@@ -288,19 +289,7 @@ class Endpoint:
 
     def link_state(self) -> LinkState:
         """What this side believes of its sending direction."""
-        estimator, path = self._estimator, self._path
-        return LinkState(
-            rate_bps=estimator.rate_bps,
-            band=estimator.band,
-            rtt_ns=path.rtt_ns,
-            in_flight_bytes=path.bytes_in_flight,
-            in_flight_limit_bytes=estimator.in_flight_limit_bytes,
-            loss_ratio=path.loss_ratio,
-            holding=self.holding,
-            queue_ns=estimator.queue_ns,
-            confidence=estimator.confidence,
-            receiving=self._control.estimates.theirs,
-        )
+        return link_state(self._estimator, self._path, self._control.estimates.theirs, holding=self.holding)
 
     # Sending.
 

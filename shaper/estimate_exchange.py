@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from shaper.events import LinkState, PeerEstimate
 from shaper.frames import EstimateFrame
+from shaper.link_estimator import LinkEstimator
+from shaper.path import Path
 from shaper.varint import MAX_VALUE
 
 STALE_NS = 5_000_000_000  # what was told longer ago is not shown as if it were so
@@ -59,3 +61,21 @@ class EstimateExchange:
             round(frame.confidence, 2),
             now_ns,
         )
+
+
+def link_state(
+    estimator: LinkEstimator, path: Path, theirs: PeerEstimate | None, *, holding: bool
+) -> LinkState:
+    """What a side believes of its sending direction, and was told of the other one."""
+    return LinkState(
+        rate_bps=estimator.rate_bps,
+        band=estimator.band,
+        rtt_ns=path.rtt_ns,
+        in_flight_bytes=path.bytes_in_flight,
+        in_flight_limit_bytes=estimator.in_flight_limit_bytes,
+        loss_ratio=path.loss_ratio,
+        holding=holding,
+        queue_ns=estimator.queue_ns,
+        confidence=estimator.confidence,
+        receiving=theirs,
+    )
