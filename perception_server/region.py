@@ -11,7 +11,7 @@ from perception_server.compiled import compiled
 from perception_server.frames import FloatArray
 from perception_server.point_ring import RUN_POINTS, BlockView
 
-OUTSIDE, CROSSING, INSIDE = 0, 1, 2
+OUTSIDE = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +142,13 @@ def _collect_block(
     zx, zy, zz = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     least2, most2 = range2[0], range2[1]
     all_ranges = least2 <= 0 and most2 == np.inf
+    crossed = np.empty_like(planes)  # the first ones: those that pass through the present run
     for s in range(scans.size):
         scan = scans[s]
         ox, oy, oz = origins[s, 0], origins[s, 1], origins[s, 2]
         for run in range(first_run[scan], first_run[scan + 1]):
-            place = _place_run(run_bounds[run], rotation, ox, oy, oz, planes)
-            if place == OUTSIDE:
+            crossing = _cross_run(run_bounds[run], rotation, ox, oy, oz, planes, crossed)
+            if crossing == OUTSIDE:
                 continue
             begin = first_point[scan] + (run - first_run[scan]) * RUN_POINTS
             for i in range(begin, min(begin + RUN_POINTS, first_point[scan + 1])):
@@ -161,31 +162,28 @@ def _collect_block(
                 if not all_ranges:
                     squared = px * px + py * py + pz * pz
                     kept &= (squared >= least2) & (squared <= most2)
-                if place == CROSSING:
-                    kept &= _is_inside(x, y, z, planes)
+                for p in range(crossing):
+                    away = crossed[p, 0] * x + crossed[p, 1] * y + crossed[p, 2] * z + crossed[p, 3]
+                    kept &= away >= 0
                 count += kept
         stops[s] = count
     return count
 
 
 @compiled
-def _is_inside(x: float, y: float, z: float, planes: NDArray[np.float32]) -> bool:
-    for p in range(len(planes)):
-        if planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z + planes[p, 3] < 0:
-            return False
-    return True
-
-
-@compiled
-def _place_run(
+def _cross_run(
     bounds: NDArray[np.float32],
     r: NDArray[np.float32],
     ox: float,
     oy: float,
     oz: float,
     planes: NDArray[np.float32],
+    crossed: NDArray[np.float32],
 ) -> int:
-    """Where a run's bounding box lies: wholly OUTSIDE one of the planes, INSIDE of all, or CROSSING."""
+    """How many planes pass through a run's bounding box, into crossed; OUTSIDE if it lies beyond one.
+
+    Its points are on the right side of all others.
+    """
     half = np.float32(0.5)
     cx, cy, cz = (
         half * (bounds[0] + bounds[3]),
@@ -199,7 +197,7 @@ def _place_run(
     ex = abs(r[0, 0]) * hx + abs(r[0, 1]) * hy + abs(r[0, 2]) * hz
     ey = abs(r[1, 0]) * hx + abs(r[1, 1]) * hy + abs(r[1, 2]) * hz
     ez = abs(r[2, 0]) * hx + abs(r[2, 1]) * hy + abs(r[2, 2]) * hz
-    place = INSIDE
+    count = 0
     for p in range(len(planes)):
         distance = planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z + planes[p, 3]
         reach = abs(planes[p, 0]) * ex + abs(planes[p, 1]) * ey + abs(planes[p, 2]) * ez
@@ -207,5 +205,6 @@ def _place_run(
         if distance < -reach - 1e-6:
             return OUTSIDE
         if distance < reach + 1e-6:
-            place = CROSSING
-    return place
+            crossed[count] = planes[p]
+            count += 1
+    return count
