@@ -230,7 +230,8 @@ class Endpoint:
     @property
     def fills_path_mtu(self) -> bool:
         """Whether datagrams are as large as is believed to pass; on a thin link they are smaller anyway."""
-        return self._estimator.datagram_bytes - IP_UDP_BYTES >= self.path_mtu.size_bytes
+        believed_bytes, most_bytes = self.path_mtu.size_bytes, self._settings.max_datagram_bytes
+        return believed_bytes == most_bytes or self._estimator.datagram_bytes >= believed_bytes + IP_UDP_BYTES
 
     @property
     def holding(self) -> bool:
