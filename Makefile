@@ -21,7 +21,7 @@ demo: $(READY)
 # First what needs no clock, then the tests with real processes, which mostly wait: two files at a time, so that
 # the tests of one can look at the same flight. Then, alone, those that measure time.
 test: $(READY)
-	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not guest and not live" -n 2 --dist worksteal $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -m "live and not guest and not exact" -n 2 --dist loadfile $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -m "exact" $(PYTEST_ARGS)
 

@@ -23,6 +23,7 @@ from shaper.estimation.states import Input, State, follow
 from shaper.estimation.trains import TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains
 from shaper.estimation.trickle import TRICKLE_BYTES, trickle_ns, urgent_trickle_ns
 from shaper.estimation.virtual_queue import VirtualQueue
+from shaper.estimation.way_back import WayBack
 from shaper.link_estimator import PresetBand
 from shaper.path import ReportedPacket, SentPacket
 
@@ -77,7 +78,7 @@ class AdaptiveEstimator:
         self._sent_bits = 0  # those of the pacer that flights account for
         self._dispersion = Dispersion()
         self._baseline = Baseline(now_ns)
-        self._silence = Silence()
+        self._silence, self._way_back = Silence(), WayBack()
         self._bands = Bands()
         self._epoch_ns = now_ns  # what leaves from then on meets the present band
         self._settled_from_ns = now_ns
@@ -166,6 +167,7 @@ class AdaptiveEstimator:
         first = self._silence.heard_ns < 0
         silence_ns = now_ns - self._silence.heard_ns
         late, quicker = self._silence.on_heard(number, sent_us, promise_ns, now_ns)
+        fills = self._way_back.fills(sent_us, self._silence.noise_ns, now_ns)
         if first:
             self._epoch_ns = self.pacer.not_before_ns = now_ns
             self._trains.await_answer(0, now_ns)
@@ -182,6 +184,8 @@ class AdaptiveEstimator:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
             self._look_for_more(now_ns)
             self._look_for_overdue(sent_us, now_ns)
+            if fills and self._ideas.way_back and self.state is State.RUN:
+                self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self.state is State.PROBE and now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
             self._replies_left -= 1  # the peer waits to be told of its trains
             self.pacer.free = max(1, self.pacer.free)
@@ -189,6 +193,7 @@ class AdaptiveEstimator:
     def on_peer_restarted(self, now_ns: int) -> None:
         """Its clock is another; the link is not."""
         self._silence.on_peer_restarted()
+        self._way_back = WayBack()
         self._flights = Flights()
         self._dispersion.forget()
         self._baseline.restart(now_ns)
@@ -204,9 +209,11 @@ class AdaptiveEstimator:
 
     def on_timer(self, now_ns: int) -> None:
         if self.state is not State.HOLD and now_ns >= self._silence_ns() and self._ideas.silence:
-            self._hold(
-                Input.SILENCE, self._silence.heard_ns - self._rtts.shortest_ns // 2 - SURELY_NS, now_ns
-            )
+            self._hold(Input.SILENCE, self._changed_before_ns(self._silence.heard_ns), now_ns)
+
+    def _changed_before_ns(self, heard_ns: int) -> int:
+        """The earliest time of a change that the peer's datagram of then does not show."""
+        return heard_ns - self._rtts.shortest_ns // 2 - SURELY_NS
 
     # Probe and hold: find out what the link is now.
 
@@ -220,21 +227,17 @@ class AdaptiveEstimator:
             self._trains.interval_ns = max(TRAIN_INTERVAL_NS, self._rtts.shortest_ns // 2)
         self._trains.await_answer(self._rtts.newest_ns, now_ns)
         known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
-        rate_bps = self._dispersion.of_trains(self._epoch_ns)
+        rate_bps = self._dispersion.of_trains(self._epoch_ns, since_ns, known_bps)
         still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
-        if still and known_bps is not None and (rate_bps is None or rate_bps < RISEN_RATIO * known_bps):
-            rate_bps = known_bps
-        else:
-            still = False
+        still = still and (rate_bps is None or rate_bps < RISEN_RATIO * (known_bps or 0.0))
+        rate_bps = known_bps if still else rate_bps
         if rate_bps is not None:
             self._enter(Input.MEASURED, now_ns)
             if still and self._baseline.delay_ns is not None:
                 self._resume(rate_bps, now_ns)
             else:
                 self._change(rate_bps, now_ns)
-                self._trains.doubt(
-                    self._rtts.shortest_ns, now_ns
-                )  # few trains, perhaps with noise: it may be more
+                self._trains.doubt(self._rtts.shortest_ns, now_ns)  # it may be more: trains are few
         elif self.state is State.HOLD and not self._silent:
             self._enter(Input.HEARD, now_ns)
             self._begin_probing(now_ns)
@@ -251,9 +254,7 @@ class AdaptiveEstimator:
     def _silence_ns(self) -> int:
         """When the peer has been silent for too long. After a change its promises are of the former band."""
         deadline_ns = self._silence.deadline_ns
-        if (
-            self.state is State.RUN and self._baseline.delay_ns is None
-        ):  # a queue drains: nothing leaves anyway
+        if self.state is State.RUN and self._baseline.delay_ns is None:  # it drains: nothing leaves anyway
             deadline_ns = max(deadline_ns, self.pacer.not_before_ns)
         fresh = self.state is State.PROBE or deadline_ns < self._settled_from_ns + FRESH_NS
         return deadline_ns + (PATIENCE_NS if fresh else 0)

@@ -52,6 +52,10 @@ class Pair:
         self.queued = second.wait_ns > 0
         self.measurable = self.spread_ns * _FASTEST_BPS > self.bits * 1e9
 
+    def is_of(self, rate_bps: float) -> bool:
+        """Whether a link of this rate would have spread them so."""
+        return 1 / _RISE_RATIO < self.spread_ns * rate_bps / (self.bits * 1e9) < _FALL_RATIO
+
 
 class Dispersion:
     """The pairs of late, and how noisy their spreads are.
@@ -190,9 +194,18 @@ class Dispersion:
         closest = sorted(pairs, key=lambda p: p.spread_ns / p.bits)[: max(2, len(pairs) // 2)]
         return _ratio(closest) >= _STILL_RATIO * known_bps
 
-    def of_trains(self, since_ns: int) -> float | None:
-        """The rate by the trains that left since then."""
-        pairs = [p for p in self._pairs if p.sent_ns >= since_ns and p.measurable]
+    def of_trains(self, since_ns: int, surely_ns: int, known_bps: float | None) -> float | None:
+        """The rate by the trains that left since then.
+
+        What left before `surely_ns` may have met the former link: where it looks like that, it says nothing.
+        """
+        pairs = [
+            p
+            for p in self._pairs
+            if p.sent_ns >= since_ns
+            and p.measurable
+            and (p.sent_ns >= surely_ns or known_bps is None or not p.is_of(known_bps))
+        ]
         trains = [p for p in pairs if p.gap_ns < _TRAIN_EXPANDED * p.spread_ns]
         if len(trains) < 2:
             return None

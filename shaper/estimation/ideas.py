@@ -11,6 +11,7 @@ class Ideas:
 
     silence: bool = True
     overdue: bool = True
+    way_back: bool = True
     verify: bool = True
     anchor: bool = True
     quicker: bool = True
