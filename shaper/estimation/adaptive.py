@@ -268,7 +268,7 @@ class AdaptiveEstimator:
             self._trains.interval_ns = 0
         first = self._flights.first_since(self._epoch_ns)
         queue_ns = 0 if first is None else self._flights.simulate(cautious_bps, first, 0, now_ns)
-        self.pacer.set(_whole(cautious_bps), queue_ns, now_ns)
+        self.pacer.set(_whole(cautious_bps), queue_ns, now_ns, _whole(known_bps))
         self.pacer.not_before_ns = now_ns
         self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
         self._replies_left = REPLIES

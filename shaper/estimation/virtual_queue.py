@@ -18,7 +18,7 @@ class VirtualQueue:
 
     allowance_ns: a datagram may leave once no more than this is left to serve before it.
     not_before_ns: nothing leaves before, whatever the queue says. free: so many datagrams leave at once.
-    urgent_from_ns: what must always pass waits until then too.
+    urgent_from_ns: what must always pass waits until then too; it is kept to a share of urgent_bps.
     """
 
     __slots__ = (
@@ -31,11 +31,12 @@ class VirtualQueue:
         "rate_bps",
         "sent_bits",
         "sent_ns",
+        "urgent_bps",
         "urgent_from_ns",
     )
 
     def __init__(self, rate_bps: int, allowance_ns: int, now_ns: int) -> None:
-        self.rate_bps = rate_bps
+        self.rate_bps = self.urgent_bps = rate_bps
         self.allowance_ns = allowance_ns
         self.not_before_ns = self.urgent_from_ns = now_ns
         self.free = 0
@@ -58,7 +59,7 @@ class VirtualQueue:
         opens_ns = self.opens_ns()
         if opens_ns <= now_ns:
             return max(self.urgent_from_ns, now_ns)
-        share_ns = int(URGENT_BYTES * 8 * NS_PER_S / (URGENT_SHARE * self.rate_bps))
+        share_ns = int(URGENT_BYTES * 8 * NS_PER_S / (URGENT_SHARE * self.urgent_bps))
         urgent_ns = self.sent_ns + max(URGENT_INTERVAL_NS, share_ns)
         return max(self.urgent_from_ns, min(max(now_ns, urgent_ns), opens_ns))
 
@@ -96,8 +97,12 @@ class VirtualQueue:
         """The queue when it was last looked at."""
         return -(-self._level // self.rate_bps)
 
-    def set(self, rate_bps: int, wait_ns: int, now_ns: int) -> None:
-        """What the link serves, and how long until it has served what it holds."""
+    def set(self, rate_bps: int, wait_ns: int, now_ns: int, urgent_bps: int = 0) -> None:
+        """What the link serves, and how long until it has served what it holds.
+
+        urgent_bps: what it may serve, where the rate is but a cautious guess.
+        """
         self.rate_bps = rate_bps
+        self.urgent_bps = max(rate_bps, urgent_bps)
         self._level = max(0, wait_ns) * rate_bps
         self._updated_ns = now_ns

@@ -195,3 +195,12 @@ def test_a_large_datagram_after_a_small_one_is_neither_missed_nor_late() -> None
         late, _ = silence.on_heard(number, (now_ns - delay_ns) // 1000, 11 * MS if small else 53 * MS, now_ns)
         assert not late
         assert silence.deadline_ns > now_ns + 53 * MS
+
+
+def test_a_cautious_guess_slows_what_must_pass_no_more_than_the_last_rate_would() -> None:
+    queue = VirtualQueue(100_000, 4 * MS, 0)
+    queue.on_sent(117, 0)
+    queue.set(10_000, 2_000 * MS, 0)
+    assert queue.urgent_at_ns(0) > 300 * MS
+    queue.set(10_000, 2_000 * MS, 0, urgent_bps=100_000)
+    assert queue.urgent_at_ns(0) < 100 * MS
