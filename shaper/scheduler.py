@@ -20,12 +20,14 @@ class _Tier:
     and one that has just had a large message waits until the others have had as much.
     """
 
-    __slots__ = ("current", "heap", "owed", "share", "virtual_now")
+    __slots__ = ("always", "current", "heap", "owed", "share", "virtual_now")
 
     def __init__(self, share: int) -> None:
         self.share = share  # guaranteed, in millionths
         self.owed = 0  # bytes x million that the guarantee is behind
         self.heap: list[tuple[int, int, TopicQueue]] = []
+        # Those that always may leave, by key, as they stand in the heap while they are active: few of many.
+        self.always: dict[str, tuple[int, int, TopicQueue]] = {}
         self.current: TopicQueue | None = None  # whose message is under way
         self.virtual_now = 0
 
@@ -111,7 +113,10 @@ class Scheduler:
     def _line_up(self, tier: _Tier, queue: TopicQueue) -> None:
         queue.virtual_finish = max(queue.virtual_finish, tier.virtual_now)
         self._arrivals += 1
-        heappush(tier.heap, (queue.virtual_finish, self._arrivals, queue))
+        item = (queue.virtual_finish, self._arrivals, queue)
+        heappush(tier.heap, item)
+        if queue.rule.traffic_class.always_send:
+            tier.always[queue.key] = item
 
     def _head(self, tier: _Tier, only_always_send: bool) -> TopicQueue | None:
         current = tier.current
@@ -129,9 +134,5 @@ class Scheduler:
                 heappop(heap)
                 queue.active = False
             return None
-        if not tier.heap:
-            return None
-        for _, _, queue in sorted(tier.heap):
-            if queue.rule.traffic_class.always_send and not queue.empty:
-                return queue
-        return None
+        waiting = [item for item in tier.always.values() if item[2].active and not item[2].empty]
+        return min(waiting)[2] if waiting else None
