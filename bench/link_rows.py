@@ -94,6 +94,12 @@ def random_profile(seed: int, *, loss_ratio: float = 0.05, jitter_ms: float = 0.
     )
 
 
+def _random_alike(seed: int) -> Profile:
+    """The same bands both ways, as most links have them."""
+    profile = random_profile(seed)
+    return replace(profile, name=f"random-alike-{seed}", up=profile.down)
+
+
 ROWS: dict[str, Row] = {
     "trials": Row(_named("trials"), 0.96, 20, 65, 0.01, 0.12, 0.8),
     "trials-swapped": Row(_named("trials-swapped"), 0.95, 20, 350, 0.07, 0.65, 1.3),
@@ -110,6 +116,7 @@ ROWS: dict[str, Row] = {
     "blackouts-thin": Row(_blackouts(100_000, 500, holds=False), 0.95, None, None, 0.01),
     "blackouts-thin-hold": Row(_blackouts(100_000, 500, holds=True), 0.95, None, None, None),
     "random": Row(random_profile, 0.90, 25, 500, 0.10),
+    "random-alike": Row(_random_alike, 0.90, 25, 500, 0.10),
     "constant-9600": Row(lambda _: constant(9_600, 50 * NS_PER_MS), 0.95, 90, 220),
     "constant-10m": Row(lambda _: constant(10_000_000, 50 * NS_PER_MS), 0.97, 15, 30),
     "clocks": Row(_named("trials"), 0.96, 20, 65, 0.01, 0.12, 0.8, drift_ppm=200),

@@ -49,7 +49,6 @@ class LiveFigures:
     long_ratio: float
     tail_drops: int
     worst_window: float
-    worst_lateness_ms: float
     cpu_of_a_core: float
     cpu_by_rate: dict[int, float]
 
@@ -129,7 +128,6 @@ def _figures(rig: WireRig, profile: Profile, minutes: float, cpu: list[tuple[int
         long_ratio=round(float(np.mean(queue_ms > 100)), 4),
         tail_drops=down.tail_drops + up.tail_drops,
         worst_window=round(min(down.worst_window, up.worst_window), 3),
-        worst_lateness_ms=round(max((r.get("late_ns", 0) for r in records), default=0) / 1e6, 1),
         cpu_of_a_core=round((cpu[-1][1] - cpu[0][1]) / ((cpu[-1][0] - cpu[0][0]) / 1e9), 4),
         cpu_by_rate=_cpu_by_rate(cpu, rates),
     )

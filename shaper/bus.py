@@ -283,9 +283,8 @@ class BusOutlet:
 
     def _has_listener(self, item: _Put) -> bool:
         try:
-            status: Any = self._publisher(
-                item.key, item.encoding
-            ).matching_status  # no bool, as its stub says
+            publisher = self._publisher(item.key, item.encoding)
+            status: Any = publisher.matching_status  # its stub says bool, which it is not
             return bool(status.matching)
         except zenoh.ZError:  # the put will meet the same, and count it
             return True

@@ -2,7 +2,7 @@
 
 probe    trains of small datagrams are sent at a cautious rate, until their spacing tells the true one
 run      departures follow the virtual queue; arrivals correct it, the rate and the delay of the empty link
-hold     the peer is silent, or what was sent is not reported in time: a trickle leaves, and is timed
+hold     the peer is silent, its queue grows, or a report is overdue: a trickle leaves, and is timed
 """
 
 from __future__ import annotations

@@ -67,27 +67,52 @@ def ages_ms(rig: Rig, load: Load) -> dict[str, list[float]]:
     return ages
 
 
+ATTEMPTS = 3  # a host that stalls makes a run differ, a wrong model makes every run differ
+
+
 @pytest.mark.exact
+@pytest.mark.timeout(300)
 def test_live_and_virtual_time_agree(tmp_path: Path) -> None:
     expected = run_mission(MissionSettings(PROFILE, LOAD, RUN_S * S, 1))["topics"]
-    with Rig(tmp_path, PROFILE, LOAD) as rig:
+    for attempt in range(ATTEMPTS):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        found = differences(folder, expected)
+        if not found:
+            return
+        print(f"run {attempt}: {found}")
+    pytest.fail(f"every run differs, the last by {found}")
+
+
+def differences(folder: Path, expected: dict[str, Any]) -> list[str]:
+    """What a live run gives that virtual time does not: counts within 5 %, ages within 20 %."""
+    with Rig(folder, PROFILE, LOAD) as rig:
         rig.start("robot")
         rig.start("operator")
         rig.start("link")  # last: its schedule begins now
         sent = publish(rig, LOAD, RUN_S)
         time.sleep(4)
     measured = ages_ms(rig, LOAD)
+    found: list[str] = []
+
+    def compare(what: str, value: float, wanted: object) -> None:
+        if value != wanted:
+            found.append(f"{what} is {value:.0f}, not {wanted}")
+
     for key, row in expected.items():
-        assert sent[key] == pytest.approx(row["offered"], abs=1)
-        assert len(measured[key]) == pytest.approx(row["delivered"], rel=0.05), key
-        assert np.percentile(measured[key], 50) == pytest.approx(row["age_p50_ms"], rel=0.20), key
+        compare(f"{key} offered", sent[key], pytest.approx(row["offered"], abs=1))
+        compare(f"{key} delivered", len(measured[key]), pytest.approx(row["delivered"], rel=0.05))
+        median_ms = float(np.percentile(measured[key], 50))
+        compare(f"{key} age p50 in ms", median_ms, pytest.approx(row["age_p50_ms"], rel=0.20))
     ledger = last_ledger(rig, "robot")["robot/heartbeat"]
-    kept = (
-        ledger["offered"] - ledger["superseded"]
-    )  # a stall of the machine by 100 ms lets one replace another
-    assert len(measured["robot/heartbeat"]) == kept >= 0.98 * sent["robot/heartbeat"]
+    # A stall of the machine by 100 ms lets one heartbeat replace another; none may be lost.
+    kept = ledger["offered"] - ledger["superseded"]
+    compare("heartbeats delivered", len(measured["robot/heartbeat"]), kept)
+    compare("heartbeats kept", kept, pytest.approx(sent["robot/heartbeat"], rel=0.02))
     waits_ms = [r["queue_delay_ns"] / 1e6 for r in rig.records("link") if r["event"] == "packet"]
-    assert max(waits_ms) < 2500
+    if max(waits_ms) >= 2500:
+        found.append(f"a datagram waited in the link for {max(waits_ms):.0f} ms")
+    return found
 
 
 @pytest.mark.parametrize("victim", ["robot", "operator"])
