@@ -293,7 +293,7 @@ def main(arguments: list[str]) -> None:
     name, *options = arguments
     if name in fuzz_views.TARGETS:
         fuzz_views.load_kernels()
-    limits = ["-timeout=10", "-rss_limit_mb=512", "-max_len=4096"]
+    limits = ["-timeout=10", "-rss_limit_mb=768", "-max_len=4096"]
     with tempfile.TemporaryDirectory() as found:  # libFuzzer adds what it finds to the first folder
         command: list[Any] = [sys.argv[0], *limits, *options, found, str(CORPUS / name)]
         atheris.Setup(command, lambda data: run_target(name, data))

@@ -15,13 +15,14 @@ from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight, Flights
 from shaper.estimation.followed_rate import FollowedRate
 from shaper.estimation.ideas import Ideas
+from shaper.estimation.new_band import NewBand
 from shaper.estimation.overdue import is_overdue
 from shaper.estimation.round_trips import RoundTrips
 from shaper.estimation.silence import HICCUP_NS, Silence
 from shaper.estimation.sizes import TRAIN_BYTES, full_bytes, train_bytes
 from shaper.estimation.states import Input, State, follow
 from shaper.estimation.trains import TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains
-from shaper.estimation.trickle import TRICKLE_BYTES, trickle_ns, urgent_trickle_ns
+from shaper.estimation.trickle import TRICKLE_BYTES, pace_trickle
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.estimation.way_back import WayBack
 from shaper.link_estimator import PresetBand
@@ -79,7 +80,7 @@ class AdaptiveEstimator:
         self._dispersion = Dispersion()
         self._baseline = Baseline(now_ns)
         self._silence, self._way_back = Silence(), WayBack()
-        self._bands = Bands()
+        self._bands, self._new_band = Bands(), NewBand()
         self._epoch_ns = now_ns  # what leaves from then on meets the present band
         self._settled_from_ns = now_ns
         self._hold_from_ns = now_ns
@@ -92,6 +93,7 @@ class AdaptiveEstimator:
             self.rate_bps = min(band.rate_bps for band in bands)
             self.pacer.set(self.rate_bps, 0, now_ns)
         self._hinted = bool(bands)
+        self._reported = False
 
     # What the endpoint reads.
 
@@ -139,14 +141,17 @@ class AdaptiveEstimator:
         if self.state is State.PROBE:
             self._pace_trains(in_train, now_ns)
         elif self.state is State.HOLD:
-            self._pace_trickle(packet.wire_bytes, now_ns)
+            held_ns, rate_bps = now_ns - self._hold_from_ns, self._known_bps or START_BPS
+            carried = packet.wire_bytes > TRICKLE_BYTES and self._silent
+            pace_trickle(pacer, held_ns, rate_bps, now_ns, in_train=self._probes_left > 0, carried=carried)
         elif self.state is State.RUN and self._ideas.verify:
-            self._verify(idle_ns, now_ns)
+            self._baseline.make_pauses(pacer, self._empty_ns, idle_ns, self._apparent_delay_ns, now_ns)
 
     def on_report(
         self, settled: Sequence[ReportedPacket], rtt_ns: int | None, loss_ratio: float, now_ns: int
     ) -> None:
         self.loss_ratio = loss_ratio
+        self._reported = True
         previous = self._flights.acked[-1] if self._flights.acked else None
         arrived = self._flights.on_report(settled)
         if not arrived:
@@ -158,6 +163,11 @@ class AdaptiveEstimator:
             previous = flight
         if rtt_ns is not None:
             self._rtts.add(rtt_ns, now_ns)
+        known_bps, base_ns = self._known_bps, self._baseline.delay_ns
+        is_known = self.state is State.RUN and base_ns is not None
+        if known_bps is not None and not is_known and self._ideas.remainder:
+            margin_ns = SAME_NS + NOISE_FACTOR * self._noise_ns
+            self._new_band.on_arrived(arrived, self._epoch_ns, known_bps, base_ns, margin_ns)
         if self.state is State.RUN:
             self._run(arrived, now_ns)
         else:
@@ -165,6 +175,7 @@ class AdaptiveEstimator:
 
     def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
         first = self._silence.heard_ns < 0
+        reported, self._reported = self._reported, False
         silence_ns = now_ns - self._silence.heard_ns
         late, quicker = self._silence.on_heard(number, sent_us, promise_ns, now_ns)
         fills = self._way_back.fills(sent_us, self._silence.noise_ns, now_ns)
@@ -173,7 +184,8 @@ class AdaptiveEstimator:
             self._trains.await_answer(0, now_ns)
             return
         if self.state is State.HOLD and self._silent and now_ns > self._hold_from_ns:
-            if silence_ns < HICCUP_NS and not late and self._known_bps is not None:
+            hiccup = self._silence.unbroken or (silence_ns < HICCUP_NS and not late)
+            if hiccup and self._known_bps is not None:
                 self._enter(Input.HICCUP, now_ns)
                 self._resume(self._known_bps, now_ns)
             else:
@@ -183,7 +195,7 @@ class AdaptiveEstimator:
             if quicker and self._ideas.quicker:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
             self._look_for_more(now_ns)
-            self._look_for_overdue(sent_us, now_ns)
+            self._look_for_overdue(sent_us, reported, now_ns)
             if fills and self._ideas.way_back and self.state is State.RUN:
                 self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self.state is State.PROBE and now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
@@ -284,24 +296,15 @@ class AdaptiveEstimator:
             if nothing_known or self._trains.is_overdue(now_ns):  # wait for an answer, ever longer
                 self._trains.wait_longer()
 
-    def _pace_trickle(self, wire_bytes: int, now_ns: int) -> None:
-        """The longer the hold, the less leaves: the link may keep it all, and serve it before what is new."""
-        held_ns = now_ns - self._hold_from_ns
-        rate_bps = self._known_bps or START_BPS
-        if not self._probes_left:
-            self.pacer.not_before_ns = now_ns + trickle_ns(held_ns, rate_bps)
-        if wire_bytes > TRICKLE_BYTES and self._silent:  # it carried a message
-            self.pacer.urgent_from_ns = now_ns + urgent_trickle_ns(held_ns, rate_bps)
-
     def _hold(self, why: Input, since_ns: int, now_ns: int) -> None:
         """Send no more than a trickle. since_ns: when the link may have changed."""
         self._enter(why, now_ns)
         self._epoch_ns = max(self._epoch_ns, since_ns)
+        self._new_band.restart()
         self._hold_from_ns = now_ns
         self._silent = why is Input.SILENCE
         self._silence.deadline_ns = _NEVER_NS
-        if self._flights.count_since(self._epoch_ns) < TRAIN_DATAGRAMS:  # else what has left is a train
-            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
+        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
         self.pacer.allowance_ns = _NEVER_NS
         self.pacer.not_before_ns = now_ns
 
@@ -332,28 +335,28 @@ class AdaptiveEstimator:
             return
         average_bps = self._dispersion.average(rate_bps)
         if average_bps is not None:
+            if self._baseline.delay_ns is None and self._flights.hold_from_before(self._settled_from_ns):
+                self._followed.restart(average_bps)
             rate_bps, beyond = self._followed.follow(rate_bps, average_bps)
             if beyond:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
             self._set_rate(rate_bps)
         if self._baseline.on_arrived(arrived, rate_bps, noise_ns, now_ns) or not self._baseline.pausing:
             self._anchor(now_ns)
-        elif self._baseline.delay_ns is None and self._most_queue_ns(rate_bps) < self.pacer.wait_ns(now_ns):
-            self._await_empty(self._most_queue_ns(rate_bps), now_ns)
+        elif self._baseline.delay_ns is None:
+            self._drain(rate_bps, now_ns)
         if now_ns - self._settled_from_ns > SETTLED_NS:
             self._bands.settle(rate_bps, self._rtts.shortest_ns)
 
-    def _verify(self, idle_ns: int, now_ns: int) -> None:
-        """Make pauses, to look at the empty link. idle_ns: since when it was empty as a datagram left."""
-        baseline = self._baseline
-        if baseline.pausing:
-            if now_ns < self.pacer.not_before_ns:  # what has just left was urgent
-                self.pacer.pause(baseline.put_off(self._empty_ns + baseline.pause_ns))
-        elif idle_ns >= baseline.pause_ns:
-            baseline.begin(now_ns, self._apparent_delay_ns())
-        elif now_ns >= baseline.due_ns:
-            self.pacer.pause(self._empty_ns + baseline.pause_ns)
-            baseline.begin(self.pacer.not_before_ns, self._apparent_delay_ns())
+    def _drain(self, rate_bps: float, now_ns: int) -> None:
+        """Correct the queue whose end is awaited by what arrives of it."""
+        wait_ns = self.pacer.wait_ns(now_ns)
+        if self._flights.most_queue_ns(rate_bps) < wait_ns:
+            self._await_empty(self._flights.most_queue_ns(rate_bps), now_ns)
+        elif self._flights.hold_from_before(self._settled_from_ns):
+            left_ns = self._new_band.queue_ns(self._flights, rate_bps, now_ns)
+            if left_ns > wait_ns + SAME_NS + NOISE_FACTOR * self._noise_ns:
+                self._await_empty(left_ns, now_ns)
 
     def _anchor(self, now_ns: int) -> None:
         """Set the virtual queue by the newest arrivals: by the least late of some, as noise only adds."""
@@ -375,14 +378,14 @@ class AdaptiveEstimator:
         self._dispersion.forget()
         first = self._flights.first_since(self._epoch_ns)
         queue_ns = 0 if first is None else self._flights.simulate(rate_bps, first, 0, now_ns)
-        self._await_empty(queue_ns, now_ns)
+        self._await_empty(max(queue_ns, self._new_band.queue_ns(self._flights, rate_bps, now_ns)), now_ns)
         self._rtts.forget_all_but_the_newest()
 
     def _resume(self, rate_bps: float, now_ns: int) -> None:
         """The band is the old one; of a queue whose end was awaited, the wait goes on."""
         self._set_rate(rate_bps)
         if self._baseline.delay_ns is None:
-            self._await_empty(min(self.pacer.wait_ns(now_ns), self._most_queue_ns(rate_bps)), now_ns)
+            self._await_empty(min(self.pacer.wait_ns(now_ns), self._flights.most_queue_ns(rate_bps)), now_ns)
             return
         newest = self._flights.acked[-1]  # there is one: by such the delay is known
         wait_ns = max(0, newest.delay_ns(rate_bps) - self._baseline.delay_ns)
@@ -395,17 +398,13 @@ class AdaptiveEstimator:
         self.pacer.pause(now_ns + queue_ns + self._baseline.pause_ns)
         self._baseline.restart(self.pacer.not_before_ns)
 
-    def _most_queue_ns(self, rate_bps: float) -> int:
-        """What is not reported yet is all that the link can hold; a full buffer has dropped the rest."""
-        return int(self._flights.bits_in_flight() * NS_PER_S / rate_bps)
-
-    def _look_for_overdue(self, peer_us: int, now_ns: int) -> None:
+    def _look_for_overdue(self, peer_us: int, reported: bool, now_ns: int) -> None:
         """Hold if the peer has spoken at this time of its clock, and said nothing of what had arrived."""
         base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
         if base_ns is None or rate_bps is None or self._baseline.pausing or not self._ideas.overdue:
             return
         unreported = self._flights.unreported
-        misses = self._silence.needed_misses(self.loss_ratio), self._silence.misses
+        misses = self._silence.needed_misses(self.loss_ratio), 0 if reported else self._silence.misses
         if is_overdue(unreported, misses, base_ns, rate_bps, self._noise_ns, peer_us):
             self._hold(Input.OVERDUE, unreported[0].sent_ns, now_ns)
 

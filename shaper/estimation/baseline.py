@@ -9,9 +9,10 @@ route changes of either sign are followed so; a delay that is higher by far is l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from shaper.estimation.flights import Flight
+from shaper.estimation.virtual_queue import VirtualQueue
 
 PAUSE_NS = 10_000_000  # beyond the computed end of the queue
 CHANGE_PAUSE_NS = 40_000_000  # after a change, when the queue is less sure
@@ -48,6 +49,23 @@ class Baseline:
         self._latest_ns = from_ns + PUT_OFF_NS
         self._before_ns = before_ns
         self._delays_ns = []
+
+    def make_pauses(
+        self, pacer: VirtualQueue, empty_ns: int, idle_ns: int, apparent_ns: Callable[[], int], now_ns: int
+    ) -> None:
+        """A datagram has left: pause behind it if that is due, and use the pauses that traffic makes itself.
+
+        empty_ns: when the queue runs empty now. idle_ns: for how long it was as the datagram left.
+        apparent_ns: the delay that the link seems to have.
+        """
+        if self.pausing:
+            if now_ns < pacer.not_before_ns:  # what has just left was urgent
+                pacer.pause(self.put_off(empty_ns + self.pause_ns))
+        elif idle_ns >= self.pause_ns:
+            self.begin(now_ns, apparent_ns())
+        elif now_ns >= self.due_ns:
+            pacer.pause(empty_ns + self.pause_ns)
+            self.begin(pacer.not_before_ns, apparent_ns())
 
     def put_off(self, from_ns: int) -> int:
         """Something has left in the pause and is served until shortly before then; the pause's new end."""

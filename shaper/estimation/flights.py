@@ -76,6 +76,14 @@ class Flights:
         """All that may still be queued."""
         return sum(flight.bits + flight.bits_before for flight in self.unreported)
 
+    def most_queue_ns(self, rate_bps: float) -> int:
+        """What is not reported yet is all that the link can hold; a full buffer has dropped the rest."""
+        return int(self.bits_in_flight() * 1e9 / rate_bps)
+
+    def hold_from_before(self, sent_ns: int) -> bool:
+        """Whether something that left before then is in flight."""
+        return len(self.unreported) > 0 and self.unreported[0].sent_ns < sent_ns
+
     def simulate(self, rate_bps: float, begin: Flight, wait_ns: int, now_ns: int) -> int:
         """The queue now (ns), if one flight met `wait_ns` of it and the link serves this rate since.
 
@@ -97,10 +105,6 @@ class Flights:
                 flight.wait_ns = start_ns - sent_ns
                 empty_ns = start_ns + int(flight.bits * per_bit_ns)
         return max(0, empty_ns - now_ns)
-
-    def count_since(self, sent_ns: int) -> int:
-        """How many that left at this time or later are in flight."""
-        return sum(1 for _ in takewhile(lambda flight: flight.sent_ns >= sent_ns, reversed(self.unreported)))
 
     def first_since(self, sent_ns: int) -> Flight | None:
         """The oldest remembered flight that left at this time or later."""

@@ -17,3 +17,4 @@ class Ideas:
     quicker: bool = True
     bands: bool = True
     unchanged: bool = True
+    remainder: bool = True

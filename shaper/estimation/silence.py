@@ -34,6 +34,7 @@ class Silence:
         self.deadline_ns = _NEVER_NS  # beyond it the peer is silent
         self.misses = 1  # datagrams in a row that must fail to come before that is more than loss
         self.same = False  # whether the newest datagram took as long as the one before it
+        self.unbroken = False  # whether it also follows that one, so that the peer itself was late
         self._largest_ns = 0  # the longest promise of late: what the peer's largest datagrams take
         self._number = -1
         self._loss = LossMeter()
@@ -59,9 +60,11 @@ class Silence:
             for _ in range(number - self._number - 1):
                 self._loss.on_settled(lost=True)
             self._loss.on_settled(lost=False)
+        follows = self._number >= 0 and number == self._number + 1
         self._number = max(self._number, number)
         late, quicker = self._judge_delay(now_ns // 1000 - sent_us, now_ns - self.heard_ns)
         self.heard_ns = now_ns
+        self.unbroken = follows and self.same
         self.misses = self.needed_misses(self._loss.ratio)
         self._largest_ns -= self._largest_ns // _LARGEST_DECAY
         self._largest_ns = max(self._largest_ns, min(promise_ns, _LARGEST_NS))

@@ -5,6 +5,8 @@ A link that went dark may keep all of it, and serve it before anything new.
 
 from __future__ import annotations
 
+from shaper.estimation.virtual_queue import VirtualQueue
+
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 
@@ -27,3 +29,13 @@ def trickle_ns(held_ns: int, rate_bps: float) -> int:
 def urgent_trickle_ns(held_ns: int, rate_bps: float) -> int:
     """How soon the next message that always passes may leave after one."""
     return min(held_ns // URGENT_SLOWING, URGENT_TRICKLES * trickle_ns(held_ns, rate_bps))
+
+
+def pace_trickle(
+    pacer: VirtualQueue, held_ns: int, rate_bps: float, now_ns: int, *, in_train: bool, carried: bool
+) -> None:
+    """A datagram has left: set when the next may. carried: it held a message that always passes."""
+    if not in_train:
+        pacer.not_before_ns = now_ns + trickle_ns(held_ns, rate_bps)
+    if carried:
+        pacer.urgent_from_ns = now_ns + urgent_trickle_ns(held_ns, rate_bps)
