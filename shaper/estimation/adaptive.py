@@ -40,6 +40,7 @@ SAME_CAUTION = 2  # a band may be so many times slower, though the peer's words 
 REPLIES, REPLY_NS = 3, 40 * NS_PER_MS  # single datagrams between the first trains, to report, so far apart
 RISEN_RATIO = 1.5  # trains this much faster than the old rate are another band's
 PATIENCE_NS = 500 * NS_PER_MS  # with promises of the peer that may be of a faster band ...
+LIGHT_BPS = 36_000  # a train takes a tenth of a second there: thinner links take what has left for one
 FRESH_NS = 1 * NS_PER_S  # ... until so long after a change
 
 SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
@@ -82,8 +83,7 @@ class AdaptiveEstimator:
         self._silence, self._way_back = Silence(), WayBack()
         self._bands, self._new_band = Bands(), NewBand()
         self._epoch_ns = now_ns  # what leaves from then on meets the present band
-        self._settled_from_ns = now_ns
-        self._hold_from_ns = now_ns
+        self._settled_from_ns = self._hold_from_ns = now_ns
         self._probes_left = self._replies_left = 0
         self._empty_ns = now_ns  # when the virtual queue runs or ran empty
         self._rtts = RoundTrips()
@@ -92,8 +92,7 @@ class AdaptiveEstimator:
         if bands:  # a hint: trains follow each other at the thinnest band's rate until one is reported
             self.rate_bps = min(band.rate_bps for band in bands)
             self.pacer.set(self.rate_bps, 0, now_ns)
-        self._hinted = bool(bands)
-        self._reported = False
+        self._hinted, self._reported = bool(bands), False
 
     # What the endpoint reads.
 
@@ -163,11 +162,11 @@ class AdaptiveEstimator:
             previous = flight
         if rtt_ns is not None:
             self._rtts.add(rtt_ns, now_ns)
-        known_bps, base_ns = self._known_bps, self._baseline.delay_ns
+        rate_bps, base_ns = self._known_bps or START_BPS, self._baseline.delay_ns
         is_known = self.state is State.RUN and base_ns is not None
-        if known_bps is not None and not is_known and self._ideas.remainder:
+        if not is_known and self._ideas.remainder:
             margin_ns = SAME_NS + NOISE_FACTOR * self._noise_ns
-            self._new_band.on_arrived(arrived, self._epoch_ns, known_bps, base_ns, margin_ns)
+            self._new_band.on_arrived(arrived, self._epoch_ns, rate_bps, base_ns, margin_ns)
         if self.state is State.RUN:
             self._run(arrived, now_ns)
         else:
@@ -304,7 +303,9 @@ class AdaptiveEstimator:
         self._hold_from_ns = now_ns
         self._silent = why is Input.SILENCE
         self._silence.deadline_ns = _NEVER_NS
-        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
+        left = self._flights.count_since(self._epoch_ns)
+        if left < TRAIN_DATAGRAMS or (self._known_bps or 0.0) > LIGHT_BPS:
+            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
         self.pacer.allowance_ns = _NEVER_NS
         self.pacer.not_before_ns = now_ns
 

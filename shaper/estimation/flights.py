@@ -106,6 +106,10 @@ class Flights:
                 empty_ns = start_ns + int(flight.bits * per_bit_ns)
         return max(0, empty_ns - now_ns)
 
+    def count_since(self, sent_ns: int) -> int:
+        """How many that left at this time or later are in flight."""
+        return sum(1 for _ in takewhile(lambda flight: flight.sent_ns >= sent_ns, reversed(self.unreported)))
+
     def first_since(self, sent_ns: int) -> Flight | None:
         """The oldest remembered flight that left at this time or later."""
         for flights in (self.acked, self.unreported):
