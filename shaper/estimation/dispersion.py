@@ -16,7 +16,7 @@ from shaper.estimation.flights import Flight
 
 _PAIRS = 400
 _NOISE_PAIRS = 24  # noise must have been there for one to two times so many pairs to be believed
-_FASTEST_BPS = 200e6  # a smaller spread is a clump behind a delay that fell, no measurement
+FASTEST_BPS = 200e6  # a smaller spread is a clump behind a delay that fell, no measurement
 _FALL_RATIO = 1.28  # spread over what the rate explains, beyond which the rate has fallen
 _RISE_RATIO = 1.25  # and the same for a rise
 _NOISE_FACTOR = 5.0  # noise (one sigma) that evidence must exceed
@@ -50,7 +50,7 @@ class Pair:
         self.spread_ns = second.arrived_ns - first.arrived_ns
         self.bits = second.bits
         self.queued = second.wait_ns > 0
-        self.measurable = self.spread_ns * _FASTEST_BPS > self.bits * 1e9
+        self.measurable = self.spread_ns * FASTEST_BPS > self.bits * 1e9
 
     def is_of(self, rate_bps: float) -> bool:
         """Whether a link of this rate would have spread them so."""

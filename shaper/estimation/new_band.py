@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from shaper.estimation.dispersion import FASTEST_BPS
 from shaper.estimation.flights import Flight, Flights
 
 NS_PER_S = 1_000_000_000
-CLUMPED_BPS = 200e6  # no link that we are made for spreads datagrams by less
 
 
 class NewBand:
@@ -72,7 +72,7 @@ class NewBand:
         assert flight.arrived_ns is not None, "it has arrived"
         if last is not None and clump is not None:
             assert last.arrived_ns is not None, "so has the one before it"
-            together = (flight.arrived_ns - last.arrived_ns) * CLUMPED_BPS <= flight.bits * NS_PER_S
+            together = (flight.arrived_ns - last.arrived_ns) * FASTEST_BPS <= flight.bits * NS_PER_S
             if together or last is not clump:
                 self._ahead_bits += last.bits
                 self._clump = clump if together else None
