@@ -18,6 +18,8 @@ from .container import Container, mount
 KERNEL = "linux.uml"
 _MEMORY = "1024M"
 _BOOT_S = 30.0  # it takes 1 to 3 s
+_GRACE_S = 10  # from the request to end to the kill: the command takes its own link down in it
+_KILLED = 137  # as the shell has it
 _NO_CODE = 125  # the guest ended before the command did
 _DRAIN_S = 2  # how long output may take after the kernel's end
 TIMED_OUT = 124  # as timeout(1) has it
@@ -41,14 +43,15 @@ def check_guest() -> None:
 def run_guest(command: Sequence[str], timeout_s: float) -> int:
     """Run a command in the guest, in this folder; its output is ours, its exit code is returned.
 
-    After timeout_s, counted from the boot, it is ended with exit code 124. Raises GuestError, ContainerError.
+    After timeout_s, counted from the boot, it is asked to end, killed if it does not, and the code is 124.
+    Raises GuestError, ContainerError.
     """
     check_guest()
     boot = Container("guest", ["sh", "-c", _boot_script(_init_script(command, timeout_s))], ("guest",))
     try:
         boot.wait_ready()
         boot.go()
-        return boot.process.wait(timeout_s + _BOOT_S)
+        return boot.process.wait(timeout_s + _GRACE_S + _BOOT_S)
     except subprocess.TimeoutExpired:
         return TIMED_OUT
     finally:
@@ -98,8 +101,12 @@ def _init_script(command: Sequence[str], timeout_s: float) -> str:
             f"for module in {modules}; do insmod $module; done",
             "ip link set lo up",
             f"cd {shlex.quote(os.getcwd())}",
-            f"timeout -k 2 {timeout_s:g} {shlex.join(command)} </dev/null >/dev/ttyS0 2>/dev/ttyS1",
-            "echo $? >/run/code",
+            "uptime_s() { cut -d. -f1 /proc/uptime; }; began_s=$(uptime_s)",
+            f"timeout -k {_GRACE_S} {timeout_s:g} {shlex.join(command)} </dev/null >/dev/ttyS0 2>/dev/ttyS1",
+            f"code=$?; late_s=$(($(uptime_s) - began_s - {timeout_s:.0f}))",
+            # a command that had to be killed has its time over all the same
+            f"[ $code = {_KILLED} ] && [ $late_s -ge 0 ] && code={TIMED_OUT}",
+            "echo $code >/run/code",
             "sleep 0.2",  # the lines drain
             "echo o >/proc/sysrq-trigger; sleep 60",
             "",
