@@ -165,6 +165,11 @@ class Endpoint:
         holding = self.holding or gated
         queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
         due = self._what_is_due(now_ns, gated=gated)
+        if due.anything and queue is None and not self.holding:
+            only_emergency = (
+                False  # what leaves anyway takes along what must pass, else that would wait for it
+            )
+            queue = self._outgoing.scheduler.next_queue(only_always_send=True)
         probe_bytes = 0 if gated else estimator.probe_bytes(now_ns)
         if queue is None and not due.anything and not probe_bytes:
             return None
@@ -228,10 +233,9 @@ class Endpoint:
         return self._path.next_number - 1
 
     @property
-    def fills_path_mtu(self) -> bool:
-        """Whether datagrams are as large as is believed to pass; on a thin link they are smaller anyway."""
-        believed_bytes, most_bytes = self.path_mtu.size_bytes, self._settings.max_datagram_bytes
-        return believed_bytes == most_bytes or self._estimator.datagram_bytes >= believed_bytes + IP_UDP_BYTES
+    def wanted_bytes(self) -> int:
+        """UDP payload of a full datagram at this rate, if the path takes it."""
+        return min(self._settings.max_datagram_bytes, self._estimator.datagram_bytes - IP_UDP_BYTES)
 
     @property
     def holding(self) -> bool:

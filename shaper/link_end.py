@@ -125,7 +125,7 @@ class LinkEnd:
         due_ns = min(due_ns, self.endpoint.wakeup_at_ns(now_ns))
         if not channel.has_control:
             return due_ns
-        probe_ns = self.endpoint.path_mtu.wakeup_at_ns() if self.endpoint.fills_path_mtu else None
+        probe_ns = self.endpoint.path_mtu.wakeup_at_ns(self.endpoint.wanted_bytes)
         ask_ns = None if self.tables is None else self.tables.wakeup_at_ns()
         for at_ns in (probe_ns, ask_ns):
             if at_ns is not None and at_ns < due_ns:
@@ -162,9 +162,7 @@ class LinkEnd:
         question = None if self.tables is None else self.tables.next_question(now_ns)
         if question is not None:
             return question
-        if not self.endpoint.fills_path_mtu:
-            return None
-        probe_bytes = self.endpoint.path_mtu.next_probe(now_ns)
+        probe_bytes = self.endpoint.path_mtu.next_probe(self.endpoint.wanted_bytes, now_ns)
         return None if probe_bytes is None else encode_probe(probe_bytes)
 
     def _on_control(self, payload: bytes, now_ns: int) -> None:

@@ -101,9 +101,12 @@ class PathMtu:
 
     # Probes.
 
-    def next_probe(self, now_ns: int) -> int | None:
-        """Size of a probe that should leave now; None if none should."""
-        if self.size_bytes >= self._ceiling_bytes:
+    def next_probe(self, wanted_bytes: int, now_ns: int) -> int | None:
+        """Size of a probe that should leave now; None if none should, or none is needed.
+
+        wanted_bytes: full datagrams now. No probe is larger: on a thin link it would hold up what follows it.
+        """
+        if self.size_bytes >= min(wanted_bytes, self._ceiling_bytes):
             return None
         if self._probe_at_ns is None:
             self._probe_at_ns = now_ns + self._wait_ns
@@ -117,7 +120,8 @@ class PathMtu:
                 self._try_all_again_later(now_ns)
                 return None
             middle = (self.size_bytes + self._high_bytes + 1) // 2
-            self._probe_bytes = self._high_bytes if self._high_bytes == self._ceiling_bytes else middle
+            largest = self._high_bytes if self._high_bytes == self._ceiling_bytes else middle
+            self._probe_bytes = min(largest, wanted_bytes)
         self._tries += 1
         self._probe_at_ns = now_ns + _PROBE_PATIENCE_NS
         return self._probe_bytes
@@ -133,9 +137,9 @@ class PathMtu:
                 text = f"datagrams of {size_bytes} bytes pass again"
                 self.notices.append(Notice(NoticeKind.PATH_MTU, text))
 
-    def wakeup_at_ns(self) -> int | None:
+    def wakeup_at_ns(self, wanted_bytes: int) -> int | None:
         """When a probe may be due."""
-        return self._probe_at_ns if self.size_bytes < self._ceiling_bytes else None
+        return self._probe_at_ns if self.size_bytes < min(wanted_bytes, self._ceiling_bytes) else None
 
     def _try_all_again_later(self, now_ns: int) -> None:
         self._high_bytes = self._ceiling_bytes

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from shaper.estimation.bands import Bands
 from shaper.estimation.baseline import Baseline
-from shaper.estimation.dispersion import Dispersion
+from shaper.estimation.dispersion import RISE_RATIO, Dispersion
 from shaper.estimation.flights import Flight, Flights
 from shaper.estimation.followed_rate import FollowedRate
 from shaper.estimation.ideas import Ideas
@@ -35,11 +35,14 @@ START_BPS = 60_000  # assumed until the first train is reported; MIT's thin band
 LEAST_BPS, MOST_BPS = 2_000, 100_000_000
 ALLOWANCE_NS = 4 * NS_PER_MS  # queue that is kept so that the link never runs dry, and every spread tells
 ALLOWANCE_NOISE = 0.25  # and this much per noise of arrivals
-SAME_CAUTION = 2  # a band may be so many times slower, though the peer's words take as long as before
+SAME_CAUTION = 1.1  # a band may be so many times slower, though the peer's words take as long as before
 
 REPLIES, REPLY_NS = 3, 40 * NS_PER_MS  # single datagrams between the first trains, to report, so far apart
+SAME_RATIO = 1.05  # trains this near the old rate are the old band's, whose delay holds
 RISEN_RATIO = 1.5  # trains this much faster than the old rate are another band's
 PATIENCE_NS = 500 * NS_PER_MS  # with promises of the peer that may be of a faster band ...
+ROOM_NS = 50 * NS_PER_MS  # a full buffer has room for a train after so long ...
+LITTLE_LOSS = 0.02  # ... but where more is lost, this train and the next one are two chances
 LIGHT_BPS = 36_000  # a train takes a tenth of a second there: thinner links take what has left for one
 FRESH_NS = 1 * NS_PER_S  # ... until so long after a change
 
@@ -135,8 +138,10 @@ class AdaptiveEstimator:
         idle_ns = now_ns - self._empty_ns
         wait_ns = pacer.wait_ns(now_ns)
         self._empty_ns = now_ns + wait_ns
-        in_train = self._probes_left > 0
-        self._probes_left = max(0, self._probes_left - 1)
+        in_train = self._probes_left > 0 and now_ns >= pacer.free_from_ns
+        self._probes_left -= in_train
+        if in_train:
+            self._trains.on_left(packet.number)
         if self.state is State.PROBE:
             self._pace_trains(in_train, now_ns)
         elif self.state is State.HOLD:
@@ -177,14 +182,14 @@ class AdaptiveEstimator:
         reported, self._reported = self._reported, False
         silence_ns = now_ns - self._silence.heard_ns
         late, quicker = self._silence.on_heard(number, sent_us, promise_ns, now_ns)
-        fills = self._way_back.fills(sent_us, self._silence.noise_ns, now_ns)
+        fills = self._way_back.fills(sent_us, promise_ns, self._silence.noise_ns, now_ns)
         if first:
             self._epoch_ns = self.pacer.not_before_ns = now_ns
             self._trains.await_answer(0, now_ns)
             return
         if self.state is State.HOLD and self._silent and now_ns > self._hold_from_ns:
             hiccup = self._silence.unbroken or (silence_ns < HICCUP_NS and not late)
-            if hiccup and self._known_bps is not None:
+            if hiccup and not fills and self._known_bps is not None:
                 self._enter(Input.HICCUP, now_ns)
                 self._resume(self._known_bps, now_ns)
             else:
@@ -195,6 +200,7 @@ class AdaptiveEstimator:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
             self._look_for_more(now_ns)
             self._look_for_overdue(sent_us, reported, now_ns)
+            fills = fills and self._baseline.delay_ns is not None  # else it drains, and nothing leaves anyway
             if fills and self._ideas.way_back and self.state is State.RUN:
                 self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self.state is State.PROBE and now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
@@ -234,17 +240,21 @@ class AdaptiveEstimator:
             self._enter(Input.UNCHANGED, now_ns)
             self._resume(self._known_bps, now_ns)
             return
-        if self._known_bps is None or self._trains.is_overdue(now_ns):
-            self._trains.interval_ns = max(TRAIN_INTERVAL_NS, self._rtts.shortest_ns // 2)
-        self._trains.await_answer(self._rtts.newest_ns, now_ns)
+        if self._known_bps is None or arrived[-1].sent_ns >= self._hold_from_ns:  # not of the old backlog
+            self._trains.on_answer(self._known_bps is None, self._rtts, now_ns)
         known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
-        rate_bps = self._dispersion.of_trains(self._epoch_ns, since_ns, known_bps)
+        measured_bps = rate_bps = self._dispersion.of_trains(self._epoch_ns, since_ns, known_bps)
         still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
         still = still and (rate_bps is None or rate_bps < RISEN_RATIO * (known_bps or 0.0))
         rate_bps = known_bps if still else rate_bps
         if rate_bps is not None:
             self._enter(Input.MEASURED, now_ns)
-            if still and self._baseline.delay_ns is not None:
+            same = (
+                still
+                and self._baseline.delay_ns is not None
+                and (measured_bps or rate_bps) < SAME_RATIO * rate_bps
+            )
+            if same:
                 self._resume(rate_bps, now_ns)
             else:
                 self._change(rate_bps, now_ns)
@@ -252,6 +262,9 @@ class AdaptiveEstimator:
         elif self.state is State.HOLD and not self._silent:
             self._enter(Input.HEARD, now_ns)
             self._begin_probing(now_ns)
+        elif self.state is State.PROBE and self._trains.are_all_reported(arrived[-1].number):
+            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS  # they told nothing, and fill nothing
+            self.pacer.not_before_ns = now_ns
 
     def _met_the_old_band(self, arrived: list[Flight]) -> bool:
         base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
@@ -306,6 +319,7 @@ class AdaptiveEstimator:
         left = self._flights.count_since(self._epoch_ns)
         if left < TRAIN_DATAGRAMS or (self._known_bps or 0.0) > LIGHT_BPS:
             self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
+            self.pacer.free_from_ns = now_ns + (ROOM_NS if self.loss_ratio < LITTLE_LOSS else 0)
         self.pacer.allowance_ns = _NEVER_NS
         self.pacer.not_before_ns = now_ns
 
@@ -326,7 +340,13 @@ class AdaptiveEstimator:
             self._change(fallen_bps, now_ns)
             return
         risen_bps = self._dispersion.risen(rate_bps)
-        if risen_bps is not None:
+        if (
+            risen_bps is not None and risen_bps < RISE_RATIO * rate_bps
+        ):  # the band is as before, only known better
+            rate_bps = risen_bps
+            self._followed.restart(rate_bps)
+            self._set_rate(rate_bps)
+        elif risen_bps is not None:
             if self._ideas.bands:
                 risen_bps = self._bands.likely(risen_bps, self._rtts.newest_ns)
             self._enter(Input.RISE, now_ns)
@@ -402,7 +422,7 @@ class AdaptiveEstimator:
     def _look_for_overdue(self, peer_us: int, reported: bool, now_ns: int) -> None:
         """Hold if the peer has spoken at this time of its clock, and said nothing of what had arrived."""
         base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
-        if base_ns is None or rate_bps is None or self._baseline.pausing or not self._ideas.overdue:
+        if base_ns is None or rate_bps is None or not self._baseline.verified or not self._ideas.overdue:
             return
         unreported = self._flights.unreported
         misses = self._silence.needed_misses(self.loss_ratio), 0 if reported else self._silence.misses
@@ -432,7 +452,7 @@ class AdaptiveEstimator:
     def _enter(self, happened: Input, now_ns: int) -> None:
         self.state = follow(self.state, happened)
         self.in_flight_limit_bytes = 0 if self.state is State.HOLD else _NO_LIMIT_BYTES
-        self._probes_left = self.pacer.free = 0
+        self._probes_left = self.pacer.free = self.pacer.free_from_ns = 0
         self.pacer.urgent_from_ns = now_ns
         self.pacer.allowance_ns = ALLOWANCE_NS + int(ALLOWANCE_NOISE * self._noise_ns)
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 _SAME_RATIO = 1.25  # rates within this are one band ...
 _SAME_RTT = (30_000_000, 0.25)  # ... if their round trips differ by less than this, or this share
 _QUEUED_NS = 80_000_000  # of a round trip may be queue
+_LIKELY_RATIO = 2.0  # trains tell at least half the rate
 _FOLLOW = 0.1  # how quickly a band's figures follow the newest
+_TRUSTED_VISITS = 3  # links that change at random come near a band twice by chance
 _MOST = 16
 CAUTION = 10  # a band that is not known may be so many times slower than the last
 LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we are made for
@@ -53,11 +55,12 @@ class Bands:
         self.current = None
 
     def likely(self, least_bps: float, rtt_ns: int) -> float:
-        """The slowest band of about this round trip (ns) that is at least so fast; or least_bps."""
+        """The slowest band of about this round trip (ns) that is somewhat faster; or least_bps."""
         rates = [
             b.rate_bps
             for b in self._known
-            if b.rate_bps >= least_bps and -_SAME_RTT[0] < rtt_ns - b.rtt_ns < _QUEUED_NS
+            if least_bps <= b.rate_bps < _LIKELY_RATIO * least_bps
+            and -_SAME_RTT[0] < rtt_ns - b.rtt_ns < _QUEUED_NS
         ]
         return min(rates, default=least_bps)
 
@@ -68,8 +71,10 @@ class Bands:
         return tenth_bps if lowest is None else max(tenth_bps, lowest.rate_bps)
 
     def lowest_below(self, rate_bps: float) -> Band | None:
-        """The slowest band that is clearly slower than this."""
-        slower = [band for band in self._known if band.rate_bps < 0.7 * rate_bps]
+        """The slowest band that is clearly slower than this, and that the link comes back to."""
+        slower = [
+            band for band in self._known if band.rate_bps < 0.7 * rate_bps and band.visits >= _TRUSTED_VISITS
+        ]
         return min(slower, key=lambda band: band.rate_bps, default=None)
 
 

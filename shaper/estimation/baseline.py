@@ -32,6 +32,7 @@ class Baseline:
         self.delay_ns: int | None = None
         self.pause_ns = PAUSE_NS
         self.due_ns = now_ns
+        self.verified = False  # whether the delay was looked at twice since the last change
         self._before_ns = 0
         self._from_ns: int | None = None  # what leaves from then on meets the empty link
         self._latest_ns = 0  # which it does not put off beyond this
@@ -75,7 +76,7 @@ class Baseline:
 
     def restart(self, from_ns: int) -> None:
         """The link has changed; nothing is known until the first arrivals of what leaves from then on."""
-        self.delay_ns = None
+        self.delay_ns, self.verified = None, False
         self.pause_ns = CHANGE_PAUSE_NS
         self.begin(from_ns, -(1 << 62))
 
@@ -104,6 +105,7 @@ class Baseline:
                 return True
         hidden = self._before_ns - after_ns > max(self.pause_ns / 2, 1.5 * noise_ns)
         first = self.delay_ns is None
+        self.verified = not first
         self.delay_ns = after_ns
         if hidden:
             self.pause_ns = min(MAX_PAUSE_NS, 2 * self.pause_ns)

@@ -18,7 +18,8 @@ _PAIRS = 400
 _NOISE_PAIRS = 24  # noise must have been there for one to two times so many pairs to be believed
 FASTEST_BPS = 200e6  # a smaller spread is a clump behind a delay that fell, no measurement
 _FALL_RATIO = 1.28  # spread over what the rate explains, beyond which the rate has fallen
-_RISE_RATIO = 1.25  # and the same for a rise
+RISE_RATIO = 1.25  # and the same for a rise
+_MORE_RATIO = 1.04  # beyond which trains tell that the rate is known too low
 _NOISE_FACTOR = 5.0  # noise (one sigma) that evidence must exceed
 _FALL_FLOOR_NS = 1_500_000
 _RISE_DOUBT = 3.0  # noises by which a train may have come too close
@@ -29,6 +30,7 @@ _EXPANDED = 0.8  # gap over spread, below which the second datagram has surely w
 _APART = 2.0  # of what a datagram takes: what leaves so far apart need not queue
 _TRAIN_EXPANDED = 0.6
 _CLUMPING_NS, _CLUMPED_PAIRS = 2_000_000, 6  # noise that makes whole trains arrive at once
+_CLUMP_FLOOR_NS = 5_000_000  # what left over a longer time and arrived together came behind a falling delay
 _STILL_RATIO = 0.8
 _WINDOW_NOISES = 200  # the average runs over so many sigma of arrivals: within 1 % of the rate ...
 _WINDOW_NS = (250_000_000, 4_000_000_000)  # ... but within these bounds
@@ -37,7 +39,8 @@ _WINDOW_NS = (250_000_000, 4_000_000_000)  # ... but within these bounds
 class Pair:
     """Two datagrams in a row that arrived. gap_ns: between departures; spread_ns: between arrivals.
 
-    bits: of the second. queued: the second is taken to have met a queue.
+    bits: of the second. queued: the second is taken to have met a queue. measurable: how close they arrived
+    says something about the rate.
     """
 
     __slots__ = ("bits", "gap_ns", "measurable", "number", "queued", "sent_ns", "spread_ns")
@@ -54,7 +57,7 @@ class Pair:
 
     def is_of(self, rate_bps: float) -> bool:
         """Whether a link of this rate would have spread them so."""
-        return 1 / _RISE_RATIO < self.spread_ns * rate_bps / (self.bits * 1e9) < _FALL_RATIO
+        return 1 / RISE_RATIO < self.spread_ns * rate_bps / (self.bits * 1e9) < _FALL_RATIO
 
 
 class Dispersion:
@@ -68,6 +71,7 @@ class Dispersion:
         self._deviation_ns = 0.0
         self._former_ns = (0.0, 0.0)  # deviations before; a change of rate is no noise
         self._counted = 0
+        self._clump_ns: int | None = None  # when the first of those left that have just arrived together
         self._follows = self._widens = self._closes = False  # whether a new pair has met a queue, and ...
 
     @property
@@ -79,6 +83,7 @@ class Dispersion:
         """Two neighbours have arrived. rate_bps: what the noise is judged by; None: it is not."""
         pair = Pair(first, second)
         self._pairs.append(pair)
+        self._follow_clump(pair)
         if rate_bps is None:
             return
         explained_ns = pair.bits * 1e9 / rate_bps
@@ -95,6 +100,16 @@ class Dispersion:
             self._counted += 1
             if self._counted % _NOISE_PAIRS == 0:
                 self._former_ns = (self._former_ns[1], self._deviation_ns)
+
+    def _follow_clump(self, pair: Pair) -> None:
+        """Where the delay falls, what left meanwhile comes at once, and the next one as if close."""
+        first_sent_ns = pair.sent_ns - pair.gap_ns
+        if not pair.measurable:
+            self._clump_ns = first_sent_ns if self._clump_ns is None else self._clump_ns
+        elif self._clump_ns is not None:
+            spanned_ns = first_sent_ns - self._clump_ns
+            pair.measurable = spanned_ns < _CLUMP_FLOOR_NS + _NOISE_FACTOR * self.noise_ns
+            self._clump_ns = None
 
     def forget_before(self, sent_ns: int) -> None:
         """Earlier pairs belong to another band."""
@@ -157,7 +172,7 @@ class Dispersion:
             if pairs >= 2:
                 doubt_ns = _RISE_DOUBT * noise_ns * trains**0.5 + _RISE_FLOOR_NS
                 best_bps = max(best_bps, bits * 1e9 / (spread_ns + doubt_ns))
-        return best_bps if best_bps > _RISE_RATIO * rate_bps else None
+        return best_bps if best_bps > _MORE_RATIO * rate_bps else None
 
     def average(self, rate_bps: float) -> float | None:
         """The rate over the last pairs that met a queue; None while there are too few, or none is new."""

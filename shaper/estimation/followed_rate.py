@@ -20,9 +20,12 @@ class FollowedRate:
         self._centre_bps = rate_bps
 
     def follow(self, rate_bps: float, average_bps: float) -> tuple[float, bool]:
-        """The rate now, and whether arrivals tell of more than it may drift to."""
+        """The rate now, and whether arrivals tell of another one than it may drift to.
+
+        Of less, too: where the link is not full they only tell how slowly we send.
+        """
         rate_bps += FOLLOW * (average_bps - rate_bps)
-        beyond = rate_bps > self._centre_bps * DRIFT_RATIO
+        beyond = not 1 / DRIFT_RATIO < rate_bps / self._centre_bps < DRIFT_RATIO
         rate_bps = min(self._centre_bps * DRIFT_RATIO, max(self._centre_bps / DRIFT_RATIO, rate_bps))
         self._centre_bps += CENTRE_FOLLOWS * (rate_bps - self._centre_bps)
         return rate_bps, beyond

@@ -15,12 +15,13 @@ from shaper.serial_number import expand
 _MARGIN_NS = 5_000_000  # a timer's lateness, on either side
 _NOISE_FACTOR = 6.0
 _FALSE_ALARMS = 2e-4  # chance that so many datagrams in a row are lost
+_HICCUPS = 3e-3  # and that so many of the peer's are, which costs no more than until the next one
 _LEAST_LOSS = 0.005
 _LATE_NS = 20_000_000  # what ends a hiccup is later than its predecessor by no more than this ...
 _LATE_SHARE = 0.35  # ... or this share of the silence
 _SAME_NS = 5_000_000
-_LARGEST_NS = 150_000_000  # that a backlog's datagram may take: a small one's successor may be so large
-_LARGEST_DECAY = 16
+_LARGEST_NS = 200_000_000  # that a backlog's datagram may take: a small one's successor may be so large
+_LARGEST_OF = 32  # how many of the peer's datagrams are sure to have had a large one among them
 HICCUP_NS = 300_000_000  # a longer silence is none
 _FALL_NS = 20_000_000  # of the delay back, which says that the path has changed
 _NEVER_NS = 1 << 62
@@ -36,9 +37,11 @@ class Silence:
         self.same = False  # whether the newest datagram took as long as the one before it
         self.unbroken = False  # whether it also follows that one, so that the peer itself was late
         self._largest_ns = 0  # the longest promise of late: what the peer's largest datagrams take
+        self._largest_since_ns = self._counted = 0  # that of those counted
         self._number = -1
         self._loss = LossMeter()
         self._delay_us: int | None = None  # of the newest datagram, plus the clocks' offset
+        self._promise_ns = 0
         self._least_us = 0
         self._deviation_us = 0.0
 
@@ -47,11 +50,11 @@ class Silence:
         """Sigma of the delay back."""
         return 1250.0 * self._deviation_us
 
-    def needed_misses(self, loss_ratio: float) -> int:
+    def needed_misses(self, loss_ratio: float, chance: float = _FALSE_ALARMS) -> int:
         """How many datagrams in a row must fail to come before that is more than loss."""
         if loss_ratio < _LEAST_LOSS:
             return 1
-        return min(12, math.ceil(math.log(_FALSE_ALARMS) / math.log(min(loss_ratio, 0.5))))
+        return min(12, math.ceil(math.log(chance) / math.log(min(loss_ratio, 0.5))))
 
     def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> tuple[bool, bool]:
         """A datagram has come: whether it was late against the last, and whether the path is quicker."""
@@ -62,27 +65,38 @@ class Silence:
             self._loss.on_settled(lost=False)
         follows = self._number >= 0 and number == self._number + 1
         self._number = max(self._number, number)
-        late, quicker = self._judge_delay(now_ns // 1000 - sent_us, now_ns - self.heard_ns)
+        late, quicker = self._judge_delay(now_ns // 1000 - sent_us, promise_ns, now_ns - self.heard_ns)
         self.heard_ns = now_ns
         self.unbroken = follows and self.same
-        self.misses = self.needed_misses(self._loss.ratio)
-        self._largest_ns -= self._largest_ns // _LARGEST_DECAY
-        self._largest_ns = max(self._largest_ns, min(promise_ns, _LARGEST_NS))
+        self.misses = self.needed_misses(self._loss.ratio, _HICCUPS)
+        if promise_ns <= _LARGEST_NS:  # a longer one is of an idle peer
+            self._note_size(promise_ns)
         margin_ns = _MARGIN_NS + max(int(_NOISE_FACTOR * self.noise_ns), self._largest_ns - promise_ns)
         self.deadline_ns = now_ns + self.misses * promise_ns + margin_ns
         return late, quicker
+
+    def _note_size(self, promise_ns: int) -> None:
+        """Of a backlog: what the datagram itself takes."""
+        self._largest_since_ns = max(self._largest_since_ns, promise_ns)
+        self._largest_ns = max(self._largest_ns, promise_ns)
+        self._counted += 1
+        if self._counted == _LARGEST_OF:
+            self._largest_ns, self._largest_since_ns, self._counted = self._largest_since_ns, 0, 0
 
     def on_peer_restarted(self) -> None:
         """Another clock, other numbers."""
         self._number, self._delay_us = -1, None
 
-    def _judge_delay(self, delay_us: int, silence_ns: int) -> tuple[bool, bool]:
+    def _judge_delay(self, delay_us: int, promise_ns: int, silence_ns: int) -> tuple[bool, bool]:
+        """A larger datagram takes longer; in a backlog the next one follows it later by just that."""
+        larger_ns, self._promise_ns = promise_ns - self._promise_ns, promise_ns
         if self._delay_us is None:
             self._delay_us = self._least_us = delay_us
             return False, False
         later_ns = (delay_us - self._delay_us) * 1000
+        later_ns = min(later_ns, later_ns - larger_ns, key=abs)
         allowed_ns = max(_LATE_NS, _NOISE_FACTOR * self.noise_ns, _LATE_SHARE * silence_ns, self._largest_ns)
-        off_us = min(abs(delay_us - self._delay_us), 3 * self._deviation_us + 500)
+        off_us = min(abs(later_ns) / 1000, 3 * self._deviation_us + 500)
         self._deviation_us += (off_us - self._deviation_us) / 16
         self._delay_us = delay_us
         self.same = abs(later_ns) < max(_SAME_NS, _NOISE_FACTOR * self.noise_ns)

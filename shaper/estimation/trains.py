@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from shaper.estimation.round_trips import RoundTrips
+
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 
@@ -16,10 +18,11 @@ DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become qui
 class Trains:
     """interval_ns: between those that search for the rate. In run they leave only while it is in doubt."""
 
-    __slots__ = ("_answer_by_ns", "_doubt_until_ns", "_sent_ns", "interval_ns")
+    __slots__ = ("_answer_by_ns", "_doubt_until_ns", "_last_number", "_sent_ns", "interval_ns")
 
     def __init__(self, now_ns: int, *, hinted: bool) -> None:
         self.interval_ns = TRAIN_INTERVAL_NS if hinted else START_INTERVAL_NS
+        self._last_number = -1  # of the newest datagram of a train
         self._sent_ns = self._doubt_until_ns = self._answer_by_ns = now_ns
 
     def wait_longer(self) -> None:
@@ -27,8 +30,25 @@ class Trains:
         self.interval_ns = min(max(TRAIN_INTERVAL_NS, 2 * self.interval_ns), MAX_START_INTERVAL_NS)
 
     def await_answer(self, newest_rtt_ns: int, now_ns: int) -> None:
-        """Trains begin to leave, or have been reported: more word should come in time."""
+        """Trains begin to leave: word of them should come in time."""
         self._answer_by_ns = now_ns + ANSWER_NS + ANSWER_RTTS * newest_rtt_ns
+
+    def on_answer(self, nothing_known: bool, rtts: RoundTrips, now_ns: int) -> None:
+        """Trains have been reported: those that waited for that may follow each other again."""
+        if nothing_known or self.is_overdue(now_ns):
+            self.interval_ns = max(TRAIN_INTERVAL_NS, rtts.shortest_ns // 2)
+        self.await_answer(rtts.newest_ns, now_ns)
+
+    def on_left(self, number: int) -> None:
+        """A train's datagram has left."""
+        self._last_number = number
+
+    def are_all_reported(self, number: int) -> bool:
+        """Whether none is on its way any more, by the newest reported number; told once."""
+        told = 0 <= self._last_number <= number
+        if told:
+            self._last_number = -1
+        return told
 
     def is_overdue(self, now_ns: int) -> bool:
         """Whether they may be filling a buffer, or go nowhere."""

@@ -17,7 +17,8 @@ class VirtualQueue:
     """What the link is taken to hold, in bit-nanoseconds: integers, so that runs are identical.
 
     allowance_ns: a datagram may leave once no more than this is left to serve before it.
-    not_before_ns: nothing leaves before, whatever the queue says. free: so many datagrams leave at once.
+    not_before_ns: nothing leaves before, whatever the queue says. free: so many datagrams leave as soon as
+    free_from_ns, whatever it says.
     urgent_from_ns: what must always pass waits until then too; it is kept to a share of urgent_bps.
     """
 
@@ -27,6 +28,7 @@ class VirtualQueue:
         "allowance_ns",
         "found_ns",
         "free",
+        "free_from_ns",
         "not_before_ns",
         "rate_bps",
         "sent_bits",
@@ -39,7 +41,7 @@ class VirtualQueue:
         self.rate_bps = self.urgent_bps = rate_bps
         self.allowance_ns = allowance_ns
         self.not_before_ns = self.urgent_from_ns = now_ns
-        self.free = 0
+        self.free = self.free_from_ns = 0
         self.found_ns = 0  # what the newest datagram found before it
         self.sent_bits = 0  # in all
         self.sent_ns = now_ns  # when the newest datagram left
@@ -72,7 +74,7 @@ class VirtualQueue:
     def opens_ns(self) -> int:
         """When a datagram may leave, or since when it may have."""
         if self.free > 0:
-            return self._updated_ns
+            return max(self._updated_ns, self.free_from_ns)
         empty_ns = self._updated_ns - (-self._level // self.rate_bps)
         return max(self.not_before_ns, empty_ns - self.allowance_ns)
 
@@ -82,7 +84,8 @@ class VirtualQueue:
         self.sent_ns = now_ns
         self.sent_bits += wire_bytes * 8
         self._level += wire_bytes * 8 * NS_PER_S
-        self.free = max(0, self.free - 1)
+        if now_ns >= self.free_from_ns:
+            self.free = max(0, self.free - 1)
 
     def wait_ns(self, now_ns: int) -> int:
         """How long until all that was sent has been served, rounded up."""

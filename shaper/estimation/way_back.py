@@ -7,7 +7,7 @@ tell only after they have waited in that very queue.
 
 from __future__ import annotations
 
-FILLS_NS = 200_000_000  # longer in all than a full datagram takes (sizes.py): what the last ones rose by ...
+FILLS_NS = 120_000_000  # longer in all than a full datagram takes (sizes.py): what the last ones rose by ...
 RISES = 3  # ... at least so many in a row, each by ...
 RISE_NS = 3_000_000  # ... more than this; one step alone is another delay
 NOISE_FACTOR = 6.0
@@ -18,27 +18,31 @@ class WayBack:
 
     def __init__(self) -> None:
         self.began_ns = 0  # when the first datagram of the rise was heard
-        self._delay_us: int | None = None
+        self._began_us: tuple[int, int] | None = None  # the delay then, with and without that of its size
+        self._last_us = (0, 0)
         self._rises = 0
-        self._risen_ns = 0
         self._told = False
 
-    def fills(self, sent_us: int, noise_ns: float, now_ns: int) -> bool:
-        """A datagram has come, sent at this time of the peer's clock: whether that says so."""
-        delay_us, before_us = now_ns // 1000 - sent_us, self._delay_us
-        self._delay_us = delay_us
-        if before_us is None:
-            return False
-        later_ns = (delay_us - before_us) * 1000
+    def fills(self, sent_us: int, promise_ns: int, noise_ns: float, now_ns: int) -> bool:
+        """A datagram has come, sent at this time of the peer's clock: whether that says so.
+
+        promise_ns: when the next one follows: in a backlog what this one takes, and small ones take less.
+        """
+        delay_us = now_ns // 1000 - sent_us
+        delays_us = delay_us, delay_us - promise_ns // 1000
+        later_ns = 1000 * min((a - b for a, b in zip(delays_us, self._last_us, strict=True)), key=abs)
+        self._last_us = delays_us
         least_ns = RISE_NS + noise_ns
-        if later_ns < -least_ns:
-            self._rises, self._risen_ns, self._told = 0, 0, False
+        if self._began_us is None or later_ns < -least_ns:
+            self._began_us, self._rises, self._told = delays_us, 0, False
         elif later_ns > least_ns:
             if not self._rises:
                 self.began_ns = now_ns
             self._rises += 1
-            self._risen_ns += later_ns
-        grown = self._rises >= RISES and self._risen_ns > FILLS_NS + NOISE_FACTOR * noise_ns
+        risen_ns = 1000 * min(a - b for a, b in zip(delays_us, self._began_us, strict=True))
+        if risen_ns < least_ns:
+            self._began_us, self._rises, self._told = delays_us, 0, False
+        grown = self._rises >= RISES and risen_ns > FILLS_NS + NOISE_FACTOR * noise_ns
         news = grown and not self._told
         self._told = self._told or grown
         return news

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from netem_scripts.band import Band, DirectionProfile, Profile
+from netem_scripts.trials import TRIALS_BUFFER_NS
 from straitlink.mission import run_mission
 from straitlink.mission.mission import adaptive
 from tests.mission.scenarios import TraceLog, settings
@@ -51,3 +53,30 @@ def test_a_link_that_carries_little_stays_known_and_the_first_image_leaves_at_it
         if record["event"] == "link_state" and 8e9 < int(str(record["t_ns"])) < 20e9:
             assert float(str(record["rate_bps"])) == pytest.approx(1e5, rel=0.06)
             assert record["band"] not in ("hold", "probe")
+
+
+def steps(*bands: tuple[float, int, int], loss_ratio: float = 0.0) -> Profile:
+    """A link, alike both ways. bands: for how long (s), rate (bit/s), one-way delay (ms)."""
+    direction = DirectionProfile(
+        tuple(Band(round(s * 1e9), bps, ms * 1_000_000, loss_ratio=loss_ratio) for s, bps, ms in bands),
+        cyclic=True,
+        buffer_ns=TRIALS_BUFFER_NS,
+    )
+    return Profile("steps", direction, direction)
+
+
+def test_trains_fill_no_buffer_of_a_link_that_has_become_thinner_than_ever_before() -> None:
+    """It has shown 500 kbit/s as its slowest, and falls from 900 to 55: 0.9 s of queue before anyone can know."""
+    profile = steps((20, 500_000, 200), (25, 900_000, 70), (20, 55_000, 400))
+    mission = settings("trials", "backlogged", 64, 1)
+    result = run_mission(replace(mission, profile=profile, estimator=adaptive))["link"]
+    assert max(way["queue_delay_max_ms"] for way in result.values()) < 2_500
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_rise_is_found_though_all_that_leaves_meanwhile_is_what_must_pass(seed: int) -> None:
+    """A tenth of the thin rate is less than heartbeats need, so that trains wait for them."""
+    profile = steps((20, 80_000, 100), (30, 2_000_000, 450), loss_ratio=0.05)
+    mission = settings("trials", "backlogged", 49, seed)
+    result = run_mission(replace(mission, profile=profile, estimator=adaptive))["link"]
+    assert min(way["utilisation"] for way in result.values()) > 0.8

@@ -37,3 +37,17 @@ def test_it_counts_where_it_shows_another_rate_or_none_was_known() -> None:
     first = Dispersion()
     arrivals(first, 10 * MS, 1e6)
     assert first.of_trains(0, 100 * MS, None) == pytest.approx(1e6, rel=0.01)
+
+
+def test_what_comes_in_a_clump_behind_a_delay_that_fell_is_no_rise() -> None:
+    """The last of the old band arrives with what left 50 ms later, and the next one as if it were close."""
+    dispersion = Dispersion()
+    flights = []
+    for number, (sent_ms, arrived_ms) in enumerate([(0, 300), (20, 300), (40, 300), (60, 301), (60, 313)]):
+        flight = Flight(number, sent_ms * MS, 1200, 1)
+        flight.arrived_ns = arrived_ms * MS
+        flights.append(flight)
+    for first, second in pairwise(flights):
+        dispersion.add(first, second, 1e5)
+    assert [pair.measurable for pair in dispersion._pairs] == [False, False, False, True]
+    assert dispersion.risen(1e5) is None

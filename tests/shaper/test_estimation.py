@@ -14,8 +14,10 @@ from shaper.estimation.bands import Bands
 from shaper.estimation.baseline import PAUSE_NS, Baseline
 from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight, Flights
+from shaper.estimation.followed_rate import DRIFT_RATIO, FollowedRate
 from shaper.estimation.silence import Silence
 from shaper.estimation.states import TRANSITIONS, Input, State, follow, mermaid
+from shaper.estimation.trains import Trains
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.link_estimator import PresetBand
 from shaper.path import SentPacket
@@ -125,8 +127,9 @@ def verified(baseline: Baseline, delay_ns: int, now_ns: int) -> None:
 def test_a_delay_that_is_higher_by_far_is_believed_the_second_time() -> None:
     baseline = Baseline(0)
     verified(baseline, 50 * MS, 1 * S)
+    assert not baseline.verified
     verified(baseline, 52 * MS, 2 * S)
-    assert baseline.delay_ns == 52 * MS
+    assert baseline.verified and baseline.delay_ns == 52 * MS
     verified(baseline, 80 * MS, 3 * S)
     assert baseline.delay_ns == 52 * MS and baseline.due_ns == 3 * S
     verified(baseline, 80 * MS, 4 * S)
@@ -146,14 +149,52 @@ def test_a_lossy_way_back_must_miss_more_promises_before_it_is_silent() -> None:
     assert [silence.needed_misses(loss) for loss in (0.0, 0.1, 0.2)] == [1, 4, 6]
 
 
-def test_the_slowest_band_seen_is_what_the_link_may_have_become() -> None:
+def test_the_slowest_band_that_the_link_comes_back_to_is_what_it_may_have_become() -> None:
     bands = Bands()
-    bands.settle(1e6, 100 * MS)
-    bands.settle(1e5, 1000 * MS)
+    for _ in range(3):
+        assert bands.lowest_below(1e6) is None, "links that change at random come near a band by chance"
+        bands.settle(1e6, 100 * MS)
+        bands.settle(1e5, 1000 * MS)
     slowest = bands.lowest_below(1e6)
     assert slowest is not None and slowest.rate_bps == 1e5
     assert bands.lowest_below(1e5) is None
-    assert bands.likely(300_000, 120 * MS) == 1e6
+
+
+def test_a_rise_is_to_a_known_band_only_if_that_is_not_far() -> None:
+    bands = Bands()
+    bands.settle(1e6, 100 * MS)
+    assert bands.likely(600_000, 120 * MS) == 1e6
+    assert bands.likely(300_000, 120 * MS) == 300_000, "else trains of another band fill its buffer"
+    assert bands.likely(600_000, 400 * MS) == 600_000
+
+
+def test_a_rate_that_drifts_far_either_way_is_in_doubt() -> None:
+    followed = FollowedRate()
+    followed.restart(1e6)
+    assert followed.follow(1e6, 1.01e6) == (1.005e6, False)
+    assert followed.follow(1.1e6, 1.6e6)[1]
+    rate_bps, beyond = followed.follow(0.9e6, 0.6e6)
+    assert beyond and rate_bps == pytest.approx(1e6 / DRIFT_RATIO, rel=0.01)
+
+
+def test_trains_are_told_of_once_when_none_is_on_its_way() -> None:
+    trains = Trains(0, hinted=False)
+    assert not trains.are_all_reported(99)
+    for number in (5, 6, 7):
+        trains.on_left(number)
+    assert [trains.are_all_reported(number) for number in (4, 6, 7, 8)] == [False, False, True, False]
+
+
+def test_a_train_that_waits_for_room_lets_what_must_pass_go_before_it() -> None:
+    queue = VirtualQueue(100_000, 4 * MS, 0)
+    queue.not_before_ns = 9 * S
+    queue.free, queue.free_from_ns = 3, 50 * MS
+    assert queue.next_send_at_ns(0) == 50 * MS
+    queue.on_sent(117, 20 * MS)
+    assert queue.next_send_at_ns(20 * MS) == 50 * MS and queue.free == 3
+    for _ in range(3):
+        queue.on_sent(150, 50 * MS)
+    assert queue.next_send_at_ns(50 * MS) == 9 * S
 
 
 def test_nothing_is_probed_before_the_peer_is_heard() -> None:
@@ -195,6 +236,31 @@ def test_a_large_datagram_after_a_small_one_is_neither_missed_nor_late() -> None
         late, _ = silence.on_heard(number, (now_ns - delay_ns) // 1000, 11 * MS if small else 53 * MS, now_ns)
         assert not late
         assert silence.deadline_ns > now_ns + 53 * MS
+
+
+def test_sizes_of_datagrams_are_no_noise_of_the_path() -> None:
+    """Else a thin way back would be taken to jitter, and its silence would be noticed late."""
+    silence = Silence()
+    now_ns = 0
+    for number in range(200):
+        small = number % 2 == 1
+        now_ns += 50 * MS if number % 2 else 8 * MS
+        delay_ns = 500 * MS + (8 * MS if small else 50 * MS)
+        silence.on_heard(number, (now_ns - delay_ns) // 1000, 9 * MS if small else 52 * MS, now_ns)
+    assert silence.noise_ns < 2 * MS
+    assert silence.deadline_ns - now_ns < 9 * MS + 52 * MS + 10 * MS
+    assert silence.same
+
+
+def test_a_thin_link_whose_datagrams_are_mostly_small_is_not_silent_before_a_large_one() -> None:
+    silence = Silence()
+    now_ns = 0
+    for number in range(200):
+        large = number % 10 == 9
+        now_ns += 175 * MS if large else 112 * MS
+        assert now_ns <= silence.deadline_ns or number < 10
+        size_ns = 175 * MS if large else 117 * MS
+        silence.on_heard(number, (now_ns - 50 * MS - size_ns) // 1000, size_ns, now_ns)
 
 
 def test_a_cautious_guess_slows_what_must_pass_no_more_than_the_last_rate_would() -> None:

@@ -69,10 +69,10 @@ def test_probing_costs_little_and_ends() -> None:
     assert mtu.size_bytes == FLOOR_BYTES
     now_ns, sent = 0, []
     while now_ns < 3600 * S:
-        size = mtu.next_probe(now_ns)
+        size = mtu.next_probe(1200, now_ns)
         if size is not None:
             sent.append(size)
-        now_ns = max(now_ns + 1, mtu.wakeup_at_ns() or now_ns + S)
+        now_ns = max(now_ns + 1, mtu.wakeup_at_ns(1200) or now_ns + S)
     assert len(sent) < 150  # nothing larger than the floor ever passes: a probe every 24 s or so
     assert mtu.size_bytes == FLOOR_BYTES
 
@@ -82,3 +82,18 @@ def test_a_thin_path_that_loses_everything_is_no_black_hole() -> None:
     for _ in range(50):
         mtu.on_lost(1200)
     assert mtu.size_bytes == 1200
+
+
+def test_no_probe_is_larger_than_full_datagrams_are_at_the_rate_of_now() -> None:
+    """1,200 bytes would hold a heartbeat up for 98 ms at 100 kbit/s."""
+    mtu = PathMtu(1200)
+    for _ in range(6):
+        mtu.on_lost(1200)
+    for _ in range(2):
+        mtu.on_arrived(100)
+    assert mtu.next_probe(588, 0) is None and mtu.next_probe(588, 2 * S) == 588
+    mtu.on_probe_arrived(588, 3 * S)
+    assert mtu.size_bytes == 588
+    assert mtu.next_probe(588, 4 * S) is None and mtu.wakeup_at_ns(588) is None
+    larger = mtu.next_probe(1200, 4 * S)
+    assert larger is not None and larger > 588

@@ -12,20 +12,23 @@ from shaper.estimation.way_back import FILLS_NS, WayBack
 MS = 1_000_000
 
 
-def hear(way: WayBack, delays_ms: list[float], noise_ns: float = 0.0) -> list[int]:
+def hear(
+    way: WayBack, delays_ms: list[float], noise_ns: float = 0.0, promises_ms: list[float] | None = None
+) -> list[int]:
     """Which of datagrams sent every 20 ms say that the way back fills."""
     told = []
-    for index, delay_ms in enumerate(delays_ms):
+    promises_ms = promises_ms or [20.0] * len(delays_ms)
+    for index, (delay_ms, promise_ms) in enumerate(zip(delays_ms, promises_ms, strict=True)):
         sent_us = 5_000_000 + index * 20_000
         now_ns = 77_000_000_000 + sent_us * 1000 + round(delay_ms * MS)  # another clock
-        if way.fills(sent_us, noise_ns, now_ns):
+        if way.fills(sent_us, round(promise_ms * MS), noise_ns, now_ns):
             told.append(index)
     return told
 
 
 def test_a_queue_that_grows_is_told_once_and_again_after_it_has_shrunk() -> None:
     grows = [300.0 + 45 * n for n in range(20)]
-    assert hear(WayBack(), [300.0] * 5 + grows) == [10]
+    assert hear(WayBack(), [300.0] * 5 + grows) == [8]
     assert len(hear(WayBack(), [*grows, 300.0, *grows])) == 2
 
 
@@ -34,8 +37,20 @@ def test_one_step_is_another_delay_and_no_queue() -> None:
 
 
 def test_what_a_large_datagram_takes_longer_than_a_small_one_is_no_queue() -> None:
-    assert hear(WayBack(), [500.0, 598.0, 548.0] * 40) == []
-    assert hear(WayBack(), [500.0, 540.0, 580.0, 648.0] * 40) == []
+    for takes_ms in ([10.0, 98.0, 48.0], [10.0, 50.0, 90.0, 158.0]):
+        delays_ms = [490 + ms for ms in takes_ms]
+        assert hear(WayBack(), delays_ms * 40, promises_ms=takes_ms * 40) == []
+
+
+def test_a_queue_is_seen_though_small_datagrams_come_between_large_ones() -> None:
+    """The rate has halved: each takes twice what it promised, and the next one waits for it."""
+    promises_ms = [50.0, 10.0] * 20
+    delays_ms, queue_ms = [], 0.0
+    for promise_ms in promises_ms:
+        delays_ms.append(500 + queue_ms + 2 * promise_ms)
+        queue_ms += promise_ms
+    (told,) = hear(WayBack(), delays_ms, promises_ms=promises_ms)
+    assert told <= 12
 
 
 @given(seed=st.integers(0, 1 << 32), jitter_ms=st.floats(0, 15))
