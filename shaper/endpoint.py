@@ -42,6 +42,7 @@ from shaper.settled import Settled
 from shaper.timers import Due, Timers
 
 TOLD_SHARE = 0.02  # a rate that changes by less is told with the next beat
+SHORTLY_NS = 100_000_000  # a pause as short as a heartbeat of 10 Hz can wait for
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 
 
@@ -165,10 +166,10 @@ class Endpoint:
         holding = self.holding or gated
         queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
         due = self._what_is_due(now_ns, gated=gated)
-        if due.anything and queue is None and not self.holding:
-            only_emergency = (
-                False  # what leaves anyway takes along what must pass, else that would wait for it
-            )
+        shortly = estimator.pacer.next_send_at_ns(now_ns) < now_ns + SHORTLY_NS
+        if due.anything and queue is None and shortly and not self.holding:
+            # What leaves in a short pause takes along what must pass, which would have to wait for it else.
+            only_emergency = False
             queue = self._outgoing.scheduler.next_queue(only_always_send=True)
         probe_bytes = 0 if gated else estimator.probe_bytes(now_ns)
         if queue is None and not due.anything and not probe_bytes:
