@@ -242,18 +242,9 @@ class AdaptiveEstimator:
             return
         if self._known_bps is None or arrived[-1].sent_ns >= self._hold_from_ns:  # not of the old backlog
             self._trains.on_answer(self._known_bps is None, self._rtts, now_ns)
-        known_bps, since_ns = self._known_bps, self._hold_from_ns if self._silent else self._epoch_ns
-        measured_bps = rate_bps = self._dispersion.of_trains(self._epoch_ns, since_ns, known_bps)
-        still = known_bps is not None and self._dispersion.still(since_ns, known_bps)
-        still = still and (rate_bps is None or rate_bps < RISEN_RATIO * (known_bps or 0.0))
-        rate_bps = known_bps if still else rate_bps
+        rate_bps, same = self._measure()
         if rate_bps is not None:
             self._enter(Input.MEASURED, now_ns)
-            same = (
-                still
-                and self._baseline.delay_ns is not None
-                and (measured_bps or rate_bps) < SAME_RATIO * rate_bps
-            )
             if same:
                 self._resume(rate_bps, now_ns)
             else:
@@ -266,14 +257,28 @@ class AdaptiveEstimator:
             self._probes_left = self.pacer.free = TRAIN_DATAGRAMS  # they told nothing, and fill nothing
             self.pacer.not_before_ns = now_ns
 
+    def _measure(self) -> tuple[float | None, bool]:
+        """The rate by the trains, if they tell one, and whether it is the old band's, with its delay."""
+        known_bps = self._known_bps
+        told_bps = self._dispersion.of_trains(self._epoch_ns, self._surely_ns, known_bps)
+        if known_bps is None or not self._dispersion.still(self._surely_ns, known_bps):
+            return told_bps, False
+        if told_bps is not None and told_bps >= RISEN_RATIO * known_bps:
+            return told_bps, False
+        return known_bps, self._baseline.delay_ns is not None and (told_bps or 0.0) < SAME_RATIO * known_bps
+
     def _met_the_old_band(self, arrived: list[Flight]) -> bool:
         base_ns, rate_bps = self._baseline.delay_ns, self._known_bps
         if base_ns is None or rate_bps is None or not self._ideas.unchanged:
             return False
         margin_ns = SAME_NS + NOISE_FACTOR * self._noise_ns
         newest = arrived[-1]
-        since_ns = self._hold_from_ns if self._silent else self._epoch_ns
-        return newest.sent_ns >= since_ns and abs(newest.delay_ns(rate_bps) - base_ns) < margin_ns
+        return newest.sent_ns >= self._surely_ns and abs(newest.delay_ns(rate_bps) - base_ns) < margin_ns
+
+    @property
+    def _surely_ns(self) -> int:
+        """What left since then has surely met the present band."""
+        return self._hold_from_ns if self._silent else self._epoch_ns
 
     def _silence_ns(self) -> int:
         """When the peer has been silent for too long. After a change its promises are of the former band."""
