@@ -112,6 +112,8 @@ class PathMtu:
             self._probe_at_ns = now_ns + self._wait_ns
         if now_ns < self._probe_at_ns:
             return None
+        if self._probe_bytes > wanted_bytes:  # the link has become thinner since the first try
+            self._probe_bytes = self._tries = 0
         if self._probe_bytes and self._tries >= _TRIES:
             self._high_bytes = self._probe_bytes - 1
             self._probe_bytes = self._tries = 0

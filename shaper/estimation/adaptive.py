@@ -345,10 +345,8 @@ class AdaptiveEstimator:
             self._change(fallen_bps, now_ns)
             return
         risen_bps = self._dispersion.risen(rate_bps)
-        if (
-            risen_bps is not None and risen_bps < RISE_RATIO * rate_bps
-        ):  # the band is as before, only known better
-            rate_bps = risen_bps
+        if risen_bps is not None and risen_bps < RISE_RATIO * rate_bps:
+            rate_bps = risen_bps  # the band is as before, only known better
             self._followed.restart(rate_bps)
             self._set_rate(rate_bps)
         elif risen_bps is not None:

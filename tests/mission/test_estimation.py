@@ -66,7 +66,7 @@ def steps(*bands: tuple[float, int, int], loss_ratio: float = 0.0) -> Profile:
 
 
 def test_trains_fill_no_buffer_of_a_link_that_has_become_thinner_than_ever_before() -> None:
-    """It has shown 500 kbit/s as its slowest, and falls from 900 to 55: 0.9 s of queue before anyone can know."""
+    """It has shown 500 kbit/s as its slowest, and falls from 900 to 55: 1.1 s of queue before anyone can know."""
     profile = steps((20, 500_000, 200), (25, 900_000, 70), (20, 55_000, 400))
     mission = settings("trials", "backlogged", 64, 1)
     result = run_mission(replace(mission, profile=profile, estimator=adaptive))["link"]

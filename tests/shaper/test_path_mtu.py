@@ -96,4 +96,5 @@ def test_no_probe_is_larger_than_full_datagrams_are_at_the_rate_of_now() -> None
     assert mtu.size_bytes == 588
     assert mtu.next_probe(588, 4 * S) is None and mtu.wakeup_at_ns(588) is None
     larger = mtu.next_probe(1200, 4 * S)
-    assert larger is not None and larger > 588
+    assert larger is not None and larger > 700
+    assert mtu.next_probe(700, 8 * S) == 700, "nor is the second try of one that was lost"
