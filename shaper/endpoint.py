@@ -39,7 +39,7 @@ from shaper.peer_lives import PeerLives
 from shaper.promise import PROMISES_NS
 from shaper.queues import Payload, TopicQueue
 from shaper.settled import Settled
-from shaper.timers import Due, Timers
+from shaper.timers import NOTHING_DUE, Due, Timers
 
 TOLD_SHARE = 0.02  # a rate that changes by less is told with the next beat
 SHORTLY_NS = 100_000_000  # a pause as short as a heartbeat of 10 Hz can wait for
@@ -160,14 +160,14 @@ class Endpoint:
 
     def next_datagram(self, now_ns: int) -> bytes | None:
         """The next datagram that may leave now, or None."""
-        estimator = self._estimator
-        gated = not estimator.pacer.may_send(now_ns) or now_ns < self._trickle_at_ns()
-        only_emergency = now_ns < max(estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())
-        holding = self.holding or gated
+        estimator, pacer = self._estimator, self._estimator.pacer
+        trickle_ns, opens_ns = self._trickle_at_ns(), pacer.next_send_at_ns(now_ns)
+        gated = now_ns < max(opens_ns, trickle_ns)
+        only_emergency = now_ns < max(pacer.urgent_at_ns(now_ns), trickle_ns)
+        holding = gated or self.holding
         queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
         due = self._what_is_due(now_ns, gated=gated)
-        shortly = estimator.pacer.next_send_at_ns(now_ns) < now_ns + SHORTLY_NS
-        if due.anything and queue is None and shortly and not self.holding:
+        if queue is None and due.anything and opens_ns < now_ns + SHORTLY_NS and not self.holding:
             # What leaves in a short pause takes along what must pass, which would have to wait for it else.
             only_emergency = False
             queue = self._outgoing.scheduler.next_queue(only_always_send=True)
@@ -213,13 +213,13 @@ class Endpoint:
         for at_ns in (self._report_due_ns(), self._probe_at_ns()):
             if at_ns is not None and at_ns < wakeup_ns:
                 wakeup_ns = at_ns
-        scheduler = self._outgoing.scheduler
+        scheduler, pacer, trickle_ns = self._outgoing.scheduler, self._estimator.pacer, self._trickle_at_ns()
+        urgent_ns = pacer.urgent_at_ns(now_ns)
         if scheduler.next_queue(only_always_send=self.holding) is not None:
-            wakeup_ns = min(wakeup_ns, self._estimator.pacer.urgent_at_ns(now_ns))
-        wakeup_ns = max(wakeup_ns, self._estimator.pacer.next_send_at_ns(now_ns), self._trickle_at_ns())
+            wakeup_ns = min(wakeup_ns, urgent_ns)
+        wakeup_ns = max(wakeup_ns, pacer.next_send_at_ns(now_ns), trickle_ns)
         if scheduler.next_queue(only_always_send=True) is not None:
-            urgent_ns = max(self._estimator.pacer.urgent_at_ns(now_ns), self._trickle_at_ns())
-            wakeup_ns = max(min(wakeup_ns, urgent_ns), now_ns + 1)
+            wakeup_ns = max(min(wakeup_ns, max(urgent_ns, trickle_ns)), now_ns + 1)
         promised_ns = self._timers.promised_until_ns
         for at_ns in (self._estimator.wakeup_at_ns(), self._outgoing.wants_at_ns(), promised_ns):
             if at_ns is not None and at_ns < wakeup_ns:
@@ -303,7 +303,7 @@ class Endpoint:
         """gated: the link has no room; what was promised leaves all the same."""
         promised = now_ns >= self._timers.promised_until_ns
         if gated:
-            return Due(promised=promised)
+            return Due(promised=True) if promised else NOTHING_DUE
         report_ns, probe_ns = self._report_due_ns(), self._probe_at_ns()
         return Due(
             beat=now_ns >= self._timers.beat_at_ns,

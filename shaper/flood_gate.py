@@ -9,6 +9,7 @@ from there have none: whoever forges those can take the link away altogether.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 _NS_PER_S = 1_000_000_000
 _LOOK_NS = _NS_PER_S // 10
@@ -31,8 +32,7 @@ class Unwanted:
     sealed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Openings:
+class Openings(NamedTuple):
     """Of how many one may pass, by the same kinds."""
 
     of_peer: int = 1

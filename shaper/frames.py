@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 VERSION = 1
 HEADER_BYTES = 11
@@ -18,8 +19,7 @@ MAX_BAND_BYTES = 32  # of a band's name in an estimate
 SENT_COUNTERS, RECEIVED_COUNTERS = 10, 6  # in a row of a ledger frame
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
+class Header(NamedTuple):
     """What every datagram starts with; see the lines at the top of shaper.datagram for the fields.
 
     promise: code (see shaper.promise) of how soon the sender's next datagram follows at the latest.
@@ -44,8 +44,7 @@ class TopicName:
     ttl_ms: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class MessageFrame:
+class MessageFrame(NamedTuple):
     """A whole message, a part of one from `offset`, or one of its shares.
 
     topic_id: the sender's short number for a topic.

@@ -125,7 +125,8 @@ class LinkEnd:
         due_ns = min(due_ns, self.endpoint.wakeup_at_ns(now_ns))
         if not channel.has_control:
             return due_ns
-        probe_ns = self.endpoint.path_mtu.wakeup_at_ns(self.endpoint.wanted_bytes)
+        mtu = self.endpoint.path_mtu
+        probe_ns = None if mtu.is_at_ceiling else mtu.wakeup_at_ns(self.endpoint.wanted_bytes)
         ask_ns = None if self.tables is None else self.tables.wakeup_at_ns()
         for at_ns in (probe_ns, ask_ns):
             if at_ns is not None and at_ns < due_ns:
@@ -162,7 +163,10 @@ class LinkEnd:
         question = None if self.tables is None else self.tables.next_question(now_ns)
         if question is not None:
             return question
-        probe_bytes = self.endpoint.path_mtu.next_probe(self.endpoint.wanted_bytes, now_ns)
+        mtu = self.endpoint.path_mtu
+        if mtu.is_at_ceiling:
+            return None
+        probe_bytes = mtu.next_probe(self.endpoint.wanted_bytes, now_ns)
         return None if probe_bytes is None else encode_probe(probe_bytes)
 
     def _on_control(self, payload: bytes, now_ns: int) -> None:

@@ -74,7 +74,7 @@ class Outgoing:
         self._max_topics = max_topics
         self._max_message_bytes = max_message_bytes
         self._queues: dict[str, TopicQueue | None] = {}
-        self._ids: dict[TopicName, int] = {}
+        self._identified: dict[tuple[TopicQueue, str], tuple[int, TopicName]] = {}
         self._queue_of_id: list[TopicQueue] = []
         self._confirmed: set[int] = set()
         self._awaiting: dict[TopicQueue, None] = {}  # that may await an outcome; looked at when asked
@@ -189,7 +189,7 @@ class Outgoing:
 
     def on_known(self, topic_ids: tuple[int, ...]) -> None:
         """The peer can tell these topics by their ids alone."""
-        self._confirmed.update(i for i in topic_ids if i < len(self._ids))
+        self._confirmed.update(i for i in topic_ids if i < len(self._queue_of_id))
 
     def on_outcome(self, topic_id: int, number_low_bits: int, outcome: Outcome) -> None:
         """The peer says what became of a message."""
@@ -368,14 +368,17 @@ class Outgoing:
 
     def _identify(self, queue: TopicQueue, encoding: str) -> tuple[int, TopicName | None]:
         """The short number of a topic, and its name while the peer has not confirmed the number."""
+        found = self._identified.get((queue, encoding))
+        if found is None:
+            found = self._identified[queue, encoding] = self._name(queue, encoding)
+        topic_id, name = found
+        return topic_id, None if topic_id in self._confirmed else name
+
+    def _name(self, queue: TopicQueue, encoding: str) -> tuple[int, TopicName]:
         ttl_ns = queue.rule.traffic_class.ttl_ns
         ttl_ms = 0 if queue.rule.traffic_class.keep is Keep.CHANGES else -(-ttl_ns // _NS_PER_MS)
-        name = TopicName(queue.key, encoding, ttl_ms)
-        topic_id = self._ids.get(name)
-        if topic_id is None:
-            topic_id = self._ids[name] = len(self._ids)
-            self._queue_of_id.append(queue)
-        return topic_id, None if topic_id in self._confirmed else name
+        self._queue_of_id.append(queue)
+        return len(self._queue_of_id) - 1, TopicName(queue.key, encoding, ttl_ms)
 
 
 def _age_us(departure: Departure, now_ns: int) -> int:

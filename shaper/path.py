@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from shaper.errors import DecodeError
 from shaper.frames import ARRIVED_BITS, NUMBER_BITS, STAMP_BITS, ReportFrame
@@ -30,8 +29,7 @@ class Content(Protocol):
         """It is lost on the link."""
 
 
-@dataclass(frozen=True, slots=True)
-class SentPacket:
+class SentPacket(NamedTuple):
     """A datagram of ours that has left and is not reported on yet."""
 
     number: int
@@ -40,8 +38,7 @@ class SentPacket:
     contents: tuple[Content, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ReportedPacket:
+class ReportedPacket(NamedTuple):
     """A datagram of ours that is in flight no more.
 
     arrival_us: in the peer's clock, low 32 bits; None if this report does not tell when, or whether, it

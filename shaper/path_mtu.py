@@ -101,6 +101,11 @@ class PathMtu:
 
     # Probes.
 
+    @property
+    def is_at_ceiling(self) -> bool:
+        """Whether there is nothing larger to be tried."""
+        return self.size_bytes >= self._ceiling_bytes
+
     def next_probe(self, wanted_bytes: int, now_ns: int) -> int | None:
         """Size of a probe that should leave now; None if none should, or none is needed.
 

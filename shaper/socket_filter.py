@@ -11,7 +11,7 @@ from __future__ import annotations
 import ipaddress
 import struct
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from shaper.flood_gate import Openings
 from shaper.handshake import ANSWER, ANSWER_BYTES, INITIATION, INITIATION_BYTES
@@ -39,8 +39,7 @@ Instruction = tuple[int, int, int, int]  # code, jump if true, jump if false, co
 _ALL_OPEN = Openings()
 
 
-@dataclass(frozen=True, slots=True)
-class Admission:
+class Admission(NamedTuple):
     """What may reach the program: datagrams of these sessions, and handshakes.
 
     key_ids: initiations that name another key are dropped; none while no session is there yet, so that

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from shaper.incoming import Incoming
 from shaper.pacer import NS_PER_S
@@ -38,8 +38,7 @@ _BEAT_SLACK_NS = 20_000_000
 _ANY_TIME_NS = -(1 << 62)  # before any clock
 
 
-@dataclass(frozen=True, slots=True)
-class Due:
+class Due(NamedTuple):
     """What must leave now, whether or not there are messages."""
 
     beat: bool = False
@@ -50,6 +49,9 @@ class Due:
     @property
     def anything(self) -> bool:
         return self.beat or self.report or self.probe or self.promised
+
+
+NOTHING_DUE = Due()
 
 
 class Timers:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from shaper.link_estimator import datagram_wire_bytes
 
 NS_PER_S = 1_000_000_000
@@ -13,6 +15,7 @@ TRAIN_AIRTIME_NS = 8 * NS_PER_MS  # of a train's datagram while the rate is know
 TRAIN_NOISES = 2.0  # ... and this much per noise of arrivals
 
 
+@lru_cache(maxsize=64)  # asked some times per datagram, at a rate that seldom changes
 def full_bytes(rate_bps: int, most_bytes: int) -> int:
     """Size of a full datagram at a rate."""
     wire_bytes = datagram_wire_bytes(rate_bps, most_bytes)

@@ -161,7 +161,7 @@ def _held_elements(root: object) -> int:
             elements += len(each)
             to_visit += [*each.keys(), *each.values()]
         elif isinstance(each, list | tuple | set | frozenset | deque):
-            elements += len(each)
+            elements += 0 if hasattr(each, "_fields") else len(each)  # a NamedTuple is a record, no container
             to_visit += each
         elif isinstance(each, MethodType):
             to_visit.append(each.__self__)
