@@ -64,7 +64,7 @@ class Figures:
     cpu_s: float
 
 
-class _Departures:
+class Departures:
     """Takes what enters the link from a mission's trace."""
 
     def __init__(self) -> None:
@@ -98,7 +98,7 @@ def fly(row_name: str, estimator: str, seed: int, minutes: float = MINUTES) -> F
     """One mission, judged."""
     row = ROWS[row_name]
     profile, duration_ns = row.make(seed), round(minutes * 60e9)
-    departures = _Departures()
+    departures = Departures()
     settings = MissionSettings(
         profile,
         load_named_or_file("backlogged"),

@@ -20,6 +20,7 @@ from netem_scripts.schedule import FOREVER_NS
 
 GRID_NS = 5_000_000
 LONG_QUEUE_NS = 100_000_000
+WINDOW_NS = 10_000_000_000
 REACTION_NS = 250_000_000  # a rate is what enters the link over so long
 NS_PER_S = 1_000_000_000
 
@@ -108,7 +109,7 @@ def judge(ours: DirectionProfile, theirs: DirectionProfile, packets: list[Packet
         for (_, _, before), (begin, end, band) in pairwise(spans)
         if _carries(band) and not _carries(before) and end - begin > NS_PER_S
     ]
-    worst = _worst_window(spans, served_at, ours, packets)
+    worst = min((use for use, _ in stable_windows(ours, packets, duration_ns)), default=float("nan"))
     return Score(served, capacity, queue[up], drops, changes, recoveries, worst)
 
 
@@ -191,23 +192,18 @@ def _first_rate(
     return float("nan")
 
 
-def _worst_window(
-    spans: list[tuple[int, int, Band]],
-    served_at_edges: dict[int, int],
-    direction: DirectionProfile,
-    packets: list[Packet],
-) -> float:
-    """The least use of any 10 s in which the link has been stable for 5 round trips and 2 s."""
-    windows: list[tuple[int, int, int]] = []
-    for begin, end, band in spans:
-        if not _carries(band):
-            continue
-        start = begin + 10 * band.one_way_delay_ns + 2 * NS_PER_S
-        windows += [
-            (at, at + 10 * NS_PER_S, band.rate_bps) for at in range(start, end - 10 * NS_PER_S + 1, NS_PER_S)
-        ]
-    if not windows:
-        return float("nan")
-    edges = [edge for begin, end, _ in windows for edge in (begin, end)]
-    served = _served_at(Link(direction, random.Random(0)), packets, edges)
-    return min((served[end] - served[begin]) / (10 * rate) for begin, end, rate in windows)
+def stable_windows(
+    ours: DirectionProfile, packets: list[Packet], duration_ns: int
+) -> list[tuple[float, int]]:
+    """Of each 10 s in which the link has been stable for 5 round trips and 2 s: the use, and the begin."""
+    windows: list[tuple[int, int]] = []  # when it begins, and the rate
+    for begin, end, band in _spans(Link(ours, random.Random(0)), duration_ns):
+        if _carries(band):
+            start = begin + 10 * band.one_way_delay_ns + 2 * NS_PER_S
+            windows += [(at, band.rate_bps) for at in range(start, end - WINDOW_NS + 1, NS_PER_S)]
+    edges = [edge for begin, _ in windows for edge in (begin, begin + WINDOW_NS)]
+    served = _served_at(Link(ours, random.Random(0)), packets, edges)
+    return [
+        ((served[begin + WINDOW_NS] - served[begin]) * NS_PER_S / (WINDOW_NS * rate_bps), begin)
+        for begin, rate_bps in windows
+    ]

@@ -8,6 +8,7 @@ hold     the peer is silent, its queue grows, or a report is overdue: a trickle 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 
 from shaper.estimation.bands import Bands
 from shaper.estimation.baseline import Baseline
@@ -171,7 +172,8 @@ class AdaptiveEstimator:
         is_known = self.state is State.RUN and base_ns is not None
         if not is_known and self._ideas.remainder:
             margin_ns = SAME_NS + NOISE_FACTOR * self._noise_ns
-            self._new_band.on_arrived(arrived, self._epoch_ns, rate_bps, base_ns, margin_ns)
+            since_ns = self._epoch_ns if base_ns is None else self._epoch_ns - self._rtts.shortest_ns
+            self._new_band.on_arrived(arrived, since_ns, rate_bps, base_ns, margin_ns)
         if self.state is State.RUN:
             self._run(arrived, now_ns)
         else:
@@ -365,6 +367,9 @@ class AdaptiveEstimator:
             if beyond:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
             self._set_rate(rate_bps)
+        if self._ideas.gaps:
+            newest_first = islice(reversed(self._flights.acked), len(arrived) + 1)
+            self._baseline.look_for_idle(newest_first, rate_bps, noise_ns)
         if self._baseline.on_arrived(arrived, rate_bps, noise_ns, now_ns) or not self._baseline.pausing:
             self._anchor(now_ns)
         elif self._baseline.delay_ns is None:

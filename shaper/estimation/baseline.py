@@ -9,7 +9,8 @@ route changes of either sign are followed so; a delay that is higher by far is l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
 
 from shaper.estimation.flights import Flight
 from shaper.estimation.virtual_queue import VirtualQueue
@@ -23,6 +24,9 @@ PUT_OFF_NS = 500_000_000  # a pause may begin anew for so long in all
 RAISED_NS = 3_000_000  # a base higher by this, and the noise, is believed the second time
 _SAMPLE_NOISE_NS = 800_000  # one arrival more is looked at per this much noise
 _MAX_SAMPLES = 10
+IDLE_NS = 5_000_000  # arrivals this much further apart than they take to serve: the link had run empty ...
+_SO_NOISY = 4.0  # ... and this many times the noise of one arrival
+_ALIKE = 3  # so many that met an empty link, and took longer by far than the base: it is too low
 
 
 class Baseline:
@@ -38,6 +42,7 @@ class Baseline:
         self._latest_ns = 0  # which it does not put off beyond this
         self._raised = False  # whether the last pause showed a much higher delay
         self._delays_ns: list[int] = []
+        self._idle_delays_ns: list[int] = []  # of what met an empty link, and took longer by far
 
     @property
     def pausing(self) -> bool:
@@ -77,6 +82,7 @@ class Baseline:
     def restart(self, from_ns: int) -> None:
         """The link has changed; nothing is known until the first arrivals of what leaves from then on."""
         self.delay_ns, self.verified = None, False
+        self._idle_delays_ns.clear()
         self.pause_ns = CHANGE_PAUSE_NS
         self.begin(from_ns, -(1 << 62))
 
@@ -86,6 +92,36 @@ class Baseline:
             return 0
         fall_ns, self.delay_ns = self.delay_ns - delay_ns, delay_ns
         return fall_ns
+
+    def look_for_idle(self, newest_first: Iterable[Flight], rate_bps: float, noise_ns: float) -> None:
+        """Raise a delay that is too low: what comes after the link has run empty met no queue.
+
+        newest_first: what a report told of, and the one before it.
+        """
+        if self.delay_ns is None:
+            return
+        margin_ns = IDLE_NS + _SO_NOISY * noise_ns
+        for after, before in pairwise(newest_first):
+            if after.number != before.number + 1 or not self._ran_empty(before, after, rate_bps, margin_ns):
+                continue
+            delay_ns = after.delay_ns(rate_bps)
+            if delay_ns - self.delay_ns < 2 * margin_ns:
+                self._idle_delays_ns.clear()
+                continue
+            self._idle_delays_ns.append(delay_ns)
+        if len(self._idle_delays_ns) >= _ALIKE:
+            self.delay_ns = min(self._idle_delays_ns)
+            self._idle_delays_ns.clear()
+
+    @staticmethod
+    def _ran_empty(before: Flight, after: Flight, rate_bps: float, margin_ns: float) -> bool:
+        """Whether the link served one, and then nothing until the other came."""
+        assert before.arrived_ns is not None and after.arrived_ns is not None, "both have arrived"
+        served_ns = (after.bits + after.bits_before) * 1e9 / rate_bps
+        if after.arrived_ns - before.arrived_ns < served_ns + margin_ns:
+            return False
+        # Else what was served more slowly than the rate has it would look like that.
+        return after.delay_ns(rate_bps) - before.delay_ns(rate_bps) < margin_ns / 2
 
     def on_arrived(self, arrived: Sequence[Flight], rate_bps: float, noise_ns: float, now_ns: int) -> bool:
         """Whether the outcome of a pause is known by now; then delay_ns is set by it."""

@@ -13,6 +13,7 @@ class Ideas:
     overdue: bool = True
     way_back: bool = True
     verify: bool = True
+    gaps: bool = True
     anchor: bool = True
     quicker: bool = True
     bands: bool = True

@@ -65,6 +65,37 @@ def steps(*bands: tuple[float, int, int], loss_ratio: float = 0.0) -> Profile:
     return Profile("steps", direction, direction)
 
 
+def parted(down: Profile, up: Profile) -> Profile:
+    """Another link each way."""
+    return replace(down, up=up.down)
+
+
+@pytest.mark.parametrize(("seed", "loss_ratio"), [(4, 0.0), (3, 0.05), (4, 0.05)])
+def test_a_band_of_about_the_old_rate_but_a_longer_delay_is_filled_at_once(
+    seed: int, loss_ratio: float
+) -> None:
+    """Its rate alone cannot tell it from the old one, whose delay would make the new one's look like queue."""
+    down = steps((24, 2_990_000, 42), (20, 2_654_000, 318), loss_ratio=loss_ratio)
+    up = steps((24, 82_000, 102), (20, 73_000, 22), loss_ratio=loss_ratio)
+    mission = replace(settings("trials", "backlogged", 43, seed), profile=parted(down, up))
+    assert run_mission(replace(mission, estimator=adaptive))["link"]["down"]["utilisation"] > 0.95
+
+
+@pytest.mark.parametrize(("seed", "loss_ratio"), [(2, 0.0), (4, 0.0), (1, 0.05)])
+def test_the_end_of_a_long_queue_is_known_though_the_change_was_earlier_than_it_seemed(
+    seed: int, loss_ratio: float
+) -> None:
+    """The peer's words of before the change come together with those of after it: the way back is faster too."""
+    down = steps((22, 1_492_000, 502), (25, 95_000, 102), loss_ratio=loss_ratio)
+    up = steps((22, 241_000, 551), (25, 65_000, 104), loss_ratio=loss_ratio)
+    mission = replace(settings("trials", "backlogged", 39, seed), profile=parted(down, up))
+    trace = TraceLog()
+    run_mission(replace(mission, estimator=adaptive), trace)
+    ages_ms = [age for when, age in trace.deliveries("operator", "robot/heartbeat") if when > 36]
+    assert len(ages_ms) > 15
+    assert max(ages_ms) < 102 + 300
+
+
 def test_trains_fill_no_buffer_of_a_link_that_has_become_thinner_than_ever_before() -> None:
     """It has shown 500 kbit/s as its slowest, and falls from 900 to 55: 1.1 s of queue before anyone can know."""
     profile = steps((20, 500_000, 200), (25, 900_000, 70), (20, 55_000, 400))

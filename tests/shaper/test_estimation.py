@@ -136,6 +136,42 @@ def test_a_delay_that_is_higher_by_far_is_believed_the_second_time() -> None:
     assert baseline.delay_ns == 80 * MS
 
 
+def crossed(number: int, sent_ns: int, delay_ns: int) -> Flight:
+    """A datagram that takes 10 ms to serve; its delay without that."""
+    flight = Flight(number, sent_ns, RATE_BPS // 100, 0)
+    flight.arrived_ns = sent_ns + 10 * MS + delay_ns
+    return flight
+
+
+def known(delay_ns: int) -> Baseline:
+    baseline = Baseline(0)
+    verified(baseline, delay_ns, 1 * S)
+    return baseline
+
+
+def test_a_delay_too_low_is_raised_by_what_came_after_the_link_had_run_empty() -> None:
+    baseline = known(50 * MS)
+    flights = [crossed(n, 2 * S + n * 30 * MS, 300 * MS) for n in range(4)]
+    baseline.look_for_idle(reversed(flights[:3]), RATE_BPS, 0.0)
+    assert baseline.delay_ns == 50 * MS  # twice may be chance
+    baseline.look_for_idle(reversed(flights[2:]), RATE_BPS, 0.0)
+    assert baseline.delay_ns == 300 * MS
+
+
+@pytest.mark.parametrize(
+    ("interval_ms", "rise_ms", "numbers_apart"),
+    [(10, 0, 1), (20, 20, 1), (30, 0, 2)],
+    ids=["a queue that stands", "a link that has become slower", "losses, which take their time too"],
+)
+def test_a_delay_is_not_raised_by(interval_ms: int, rise_ms: int, numbers_apart: int) -> None:
+    baseline = known(50 * MS)
+    flights = [
+        crossed(n * numbers_apart, 2 * S + n * interval_ms * MS, (300 + n * rise_ms) * MS) for n in range(9)
+    ]
+    baseline.look_for_idle(reversed(flights), RATE_BPS, 0.0)
+    assert baseline.delay_ns == 50 * MS
+
+
 def test_what_leaves_in_a_pause_puts_its_end_off_but_not_for_ever() -> None:
     baseline = Baseline(0)
     baseline.begin(S + PAUSE_NS, 0)
