@@ -29,7 +29,9 @@ _PLANS = ("operator/footstep_plan", "operator/motion_plan")
 
 @dataclass(frozen=True, slots=True)
 class LiveFigures:
-    """memory_mb: resident, at each tenth of the run. plans: reliable messages offered and delivered."""
+    """messages_per_s: of topics that the shaper has a rule for, half of the mission's 4,000; others do not
+    come to it. memory_mb: resident, at each tenth. plans: reliable messages offered and delivered.
+    """
 
     seconds: float
     messages_per_s: float

@@ -172,6 +172,7 @@ class AdaptiveEstimator:
         is_known = self.state is State.RUN and base_ns is not None
         if not is_known and self._ideas.remainder:
             margin_ns = SAME_NS + NOISE_FACTOR * self._noise_ns
+            # The peer's words that date the change may have come in a clump: then it was earlier.
             since_ns = self._epoch_ns if base_ns is None else self._epoch_ns - self._rtts.shortest_ns
             self._new_band.on_arrived(arrived, since_ns, rate_bps, base_ns, margin_ns)
         if self.state is State.RUN:
