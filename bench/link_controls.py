@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from shaper.link_estimator import PresetBand, datagram_wire_bytes
 from shaper.pacer import Pacer
-from shaper.path import ReportedPacket, SentPacket
+from shaper.path import HeardPacket, ReportedPacket, SentPacket
 
 _NS_PER_S = 1_000_000_000
 _NS_PER_MS = 1_000_000
@@ -44,7 +44,7 @@ class Control:
         """Nothing to learn but the loss."""
         self.loss_ratio = loss_ratio
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> None:
         """Nothing to learn."""
 
     def probe_bytes(self, now_ns: int) -> int:
@@ -79,8 +79,8 @@ class TrialsRule(Control):
         self._changed_ns = now_ns - self.LOCK_OUT_NS
         self._wakeup_ns = now_ns + _NS_PER_S
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
-        stamped = now_ns // 1000 - sent_us
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> None:
+        stamped = now_ns // 1000 - packet.sent_us
         self._latency_ms = ((stamped + (1 << 31)) % (1 << 32) - (1 << 31)) / 1000
 
     def wakeup_at_ns(self) -> int | None:

@@ -17,7 +17,7 @@ from netem_scripts.profiles import load_profile
 from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.estimation.states import State
 from shaper.link_estimator import PresetBand
-from shaper.path import ReportedPacket
+from shaper.path import HeardPacket, ReportedPacket
 from shaper.trace_records import Record
 from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 from straitlink.mission.load import Load
@@ -53,8 +53,8 @@ class _Watched(AdaptiveEstimator):
         self.changes: list[tuple[int, State]] = []
         self.rates: list[tuple[int, int]] = []
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
-        super().on_heard(number, sent_us, promise_ns, now_ns)
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> None:
+        super().on_heard(packet, now_ns)
         self._look(now_ns)
 
     def on_report(

@@ -33,7 +33,7 @@ from shaper.ledger_exchange import LedgerExchange
 from shaper.link_estimator import LinkEstimator
 from shaper.outgoing import Opportunity, Outgoing
 from shaper.pacer import NS_PER_S
-from shaper.path import Content, Path, PeerClock
+from shaper.path import Content, HeardPacket, Path, PeerClock
 from shaper.path_mtu import PathMtu
 from shaper.peer_lives import PeerLives
 from shaper.promise import PROMISES_NS
@@ -422,7 +422,10 @@ class Endpoint:
                     incoming.on_hello(frame, sent_us)
                 case _:
                     self._control.on_frame(frame, incoming, now_ns)
-        self._estimator.on_heard(header.number, sent_us, PROMISES_NS[header.promise], now_ns)
+        promise_ns, told_bps = PROMISES_NS[header.promise], self._control.estimates.told_bps
+        wire_bytes = len(data) + self._outer_bytes
+        packet = HeardPacket(header.number, sent_us, wire_bytes, promise_ns, told_bps)
+        self._estimator.on_heard(packet, now_ns)
 
     def _meet_peer(self, epoch: int, now_ns: int, *, remembers: bool = False) -> Incoming:
         """The peer's first datagram, or the first after it has started anew."""

@@ -20,13 +20,14 @@ class EstimateExchange:
 
     def __init__(self) -> None:
         self.theirs: PeerEstimate | None = None  # the direction that we receive by, if told of lately
+        self.told_bps = 0  # the rate that it told last, however long ago
         self._band = ""  # the peer's, by the last name that came
         self._told_band = ""  # ours, as told
         self._told = 0  # so many beats ago, and longer
 
     def on_peer_restarted(self) -> None:
         """Another life of the peer has told nothing, and knows nothing of ours."""
-        self.theirs, self._band = None, ""
+        self.theirs, self.told_bps, self._band = None, 0, ""
         self._told_band, self._told = "", 0
 
     def take(self, state: LinkState, now_ns: int) -> EstimateFrame | None:
@@ -52,6 +53,7 @@ class EstimateExchange:
         """The peer tells what it takes its direction for."""
         if frame.band is not None:
             self._band = frame.band
+        self.told_bps = frame.rate_bps
         self.theirs = PeerEstimate(
             frame.rate_bps,
             self._band,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from shaper.pacer import Pacer, Pacing
-from shaper.path import ReportedPacket, SentPacket
+from shaper.path import HeardPacket, ReportedPacket, SentPacket
 
 _RTT_MEMORY_NS = 200_000_000  # newest round trips that are compared; a single late one changes no band
 _FEEDBACK_SLACK_NS = 100_000_000  # a report waits for its turn on the other side
@@ -70,9 +70,8 @@ class LinkEstimator(Protocol):
     ) -> None:
         """The peer has reported on these packets (oldest first); rtt_ns excludes its holding time."""
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
-        """A datagram of the peer has come: its number's low bits, its stamp (expanded), and how soon the
-        next one follows at the latest."""
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> None:
+        """A datagram of the peer has come."""
 
     def probe_bytes(self, now_ns: int) -> int:
         """The size on the wire of a datagram that is to leave now to be timed; 0: none is."""
@@ -143,7 +142,7 @@ class PresetBands:
         delay_ns = min(rtt for _, rtt in self._rtts) // 2
         self._enter(min(self._bands, key=lambda b: abs(b.one_way_delay_ns - delay_ns)), now_ns)
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> None:
         """Nothing: presets are told apart by round trips."""
 
     def probe_bytes(self, now_ns: int) -> int:

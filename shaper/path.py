@@ -51,6 +51,20 @@ class ReportedPacket(NamedTuple):
     arrival_us: int | None
 
 
+class HeardPacket(NamedTuple):
+    """A datagram of the peer's that has come.
+
+    number: its low bits. sent_us: its stamp (expanded). promise_ns: how soon the next one follows at the
+    latest. peer_bps: what the peer last took its direction for; 0 if it has told nothing.
+    """
+
+    number: int
+    sent_us: int
+    wire_bytes: int
+    promise_ns: int = 0
+    peer_bps: int = 0
+
+
 class PeerClock:
     """The offset of the peer's monotonic clock, from the exchange of stamps.
 

@@ -21,13 +21,14 @@ from shaper.estimation.overdue import is_overdue
 from shaper.estimation.round_trips import RoundTrips
 from shaper.estimation.silence import HICCUP_NS, Silence
 from shaper.estimation.sizes import TRAIN_BYTES, full_bytes, train_bytes
+from shaper.estimation.standstill import Standstill
 from shaper.estimation.states import Input, State, follow
 from shaper.estimation.trains import TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains
 from shaper.estimation.trickle import TRICKLE_BYTES, pace_trickle
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.estimation.way_back import WayBack
 from shaper.link_estimator import PresetBand
-from shaper.path import ReportedPacket, SentPacket
+from shaper.path import HeardPacket, ReportedPacket, SentPacket
 
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
@@ -84,13 +85,14 @@ class AdaptiveEstimator:
         self._sent_bits = 0  # those of the pacer that flights account for
         self._dispersion = Dispersion()
         self._baseline = Baseline(now_ns)
-        self._silence, self._way_back = Silence(), WayBack()
+        self._silence, self._way_back, self._standstill = Silence(), WayBack(), Standstill()
         self._bands, self._new_band = Bands(), NewBand()
         self._epoch_ns = now_ns  # what leaves from then on meets the present band
         self._settled_from_ns = self._hold_from_ns = now_ns
         self._probes_left = self._replies_left = 0
         self._empty_ns = now_ns  # when the virtual queue runs or ran empty
         self._rtts = RoundTrips()
+        self._rtt_before_ns = 0  # the shortest one when it came to be held
         self._silent = False  # whether it is the peer's silence for which the link is held
         self._trains = Trains(now_ns, hinted=bool(bands))
         if bands:  # a hint: trains follow each other at the thinnest band's rate until one is reported
@@ -180,11 +182,11 @@ class AdaptiveEstimator:
         else:
             self._find(arrived, now_ns)
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> None:
         first = self._silence.heard_ns < 0
         reported, self._reported = self._reported, False
-        silence_ns = now_ns - self._silence.heard_ns
-        late, quicker = self._silence.on_heard(number, sent_us, promise_ns, now_ns)
+        silence_ns, sent_us, promise_ns = now_ns - self._silence.heard_ns, packet.sent_us, packet.promise_ns
+        late, quicker = self._silence.on_heard(packet.number, sent_us, promise_ns, now_ns)
         fills = self._way_back.fills(sent_us, promise_ns, self._silence.noise_ns, now_ns)
         if first:
             self._epoch_ns = self.pacer.not_before_ns = now_ns
@@ -198,6 +200,8 @@ class AdaptiveEstimator:
             else:
                 self._enter(Input.HEARD, now_ns)
                 self._begin_probing(now_ns)
+                if self._ideas.standstill:
+                    self._standstill.end(packet, silence_ns, self._silence.later_ns, now_ns)
         elif self.state is State.RUN:
             if quicker and self._ideas.quicker:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
@@ -206,7 +210,11 @@ class AdaptiveEstimator:
             fills = fills and self._baseline.delay_ns is not None  # else it drains, and nothing leaves anyway
             if fills and self._ideas.way_back and self.state is State.RUN:
                 self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
-        elif self.state is State.PROBE and now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
+        elif self.state is State.HOLD:
+            return
+        elif self._standstill.is_as_before(packet, self._silence.noise_ns, now_ns):
+            self._send_as_before(now_ns)
+        elif now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
             self._replies_left -= 1  # the peer waits to be told of its trains
             self.pacer.free = max(1, self.pacer.free)
 
@@ -306,6 +314,17 @@ class AdaptiveEstimator:
         self._replies_left = REPLIES
         self._trains.await_answer(self._rtts.newest_ns, now_ns)
 
+    def _send_as_before(self, now_ns: int) -> None:
+        """The link has been away, with all that it held: it serves that first, as fast as before."""
+        cautious_bps = (self._known_bps or START_BPS) / SAME_CAUTION
+        served_ns = now_ns - self._standstill.ended_ns + self._rtt_before_ns // 2
+        held_ns = int(self._flights.bits_since(self._epoch_ns) * 1e9 / cautious_bps)
+        left_ns = max(0, held_ns - served_ns)
+        self._trains.interval_ns = self._probes_left = self.pacer.free = 0
+        self.pacer.set(_whole(cautious_bps), left_ns, now_ns)
+        self.pacer.not_before_ns = now_ns
+        self._empty_ns = now_ns + left_ns
+
     def _pace_trains(self, in_train: bool, now_ns: int) -> None:
         """Trains leave whole, and one after the other has been served at the cautious rate."""
         if not in_train and now_ns >= self.pacer.not_before_ns:
@@ -321,7 +340,8 @@ class AdaptiveEstimator:
         self._enter(why, now_ns)
         self._epoch_ns = max(self._epoch_ns, since_ns)
         self._new_band.restart()
-        self._hold_from_ns = now_ns
+        self._standstill = Standstill()
+        self._hold_from_ns, self._rtt_before_ns = now_ns, self._rtts.shortest_ns
         self._silent = why is Input.SILENCE
         self._silence.deadline_ns = _NEVER_NS
         left = self._flights.count_since(self._epoch_ns)

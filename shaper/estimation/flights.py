@@ -76,6 +76,11 @@ class Flights:
         """All that may still be queued."""
         return sum(flight.bits + flight.bits_before for flight in self.unreported)
 
+    def bits_since(self, sent_ns: int) -> int:
+        """What of it left at this time or later."""
+        later = takewhile(lambda flight: flight.sent_ns >= sent_ns, reversed(self.unreported))
+        return sum(flight.bits + flight.bits_before for flight in later)
+
     def most_queue_ns(self, rate_bps: float) -> int:
         """What is not reported yet is all that the link can hold; a full buffer has dropped the rest."""
         return int(self.bits_in_flight() * 1e9 / rate_bps)

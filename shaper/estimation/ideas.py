@@ -19,3 +19,4 @@ class Ideas:
     bands: bool = True
     unchanged: bool = True
     remainder: bool = True
+    standstill: bool = True

@@ -15,7 +15,7 @@ from shaper.estimation.regular_falls import Expected, RegularFalls
 from shaper.estimation.states import State
 from shaper.link_estimator import datagram_wire_bytes
 from shaper.pacer import Pacer, Pacing
-from shaper.path import ReportedPacket, SentPacket
+from shaper.path import HeardPacket, ReportedPacket, SentPacket
 
 CHANGED_RATIO = 0.7  # of one rate to the other: another band, not drift
 MARGIN_NS = 60_000_000  # before the link should fall, and after its news should come
@@ -139,8 +139,8 @@ class PredictingEstimator:
             self._expect(now_ns)
         self._look(now_ns)
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> None:
-        self.inner.on_heard(number, sent_us, promise_ns, now_ns)
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> None:
+        self.inner.on_heard(packet, now_ns)
         self._look(now_ns)
 
     def on_peer_restarted(self, now_ns: int) -> None:

@@ -35,6 +35,7 @@ class Silence:
         self.deadline_ns = _NEVER_NS  # beyond it the peer is silent
         self.misses = 1  # datagrams in a row that must fail to come before that is more than loss
         self.same = False  # whether the newest datagram took as long as the one before it
+        self.later_ns = 0  # how much longer it took
         self.unbroken = False  # whether it also follows that one, so that the peer itself was late
         self._largest_ns = 0  # the longest promise of late: what the peer's largest datagrams take
         self._largest_since_ns = self._counted = 0  # that of those counted
@@ -94,7 +95,7 @@ class Silence:
             self._delay_us = self._least_us = delay_us
             return False, False
         later_ns = (delay_us - self._delay_us) * 1000
-        later_ns = min(later_ns, later_ns - larger_ns, key=abs)
+        self.later_ns = later_ns = min(later_ns, later_ns - larger_ns, key=abs)
         allowed_ns = max(_LATE_NS, _NOISE_FACTOR * self.noise_ns, _LATE_SHARE * silence_ns, self._largest_ns)
         off_us = min(abs(later_ns) / 1000, 3 * self._deviation_us + 500)
         self._deviation_us += (off_us - self._deviation_us) / 16

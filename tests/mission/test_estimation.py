@@ -111,3 +111,26 @@ def test_a_rise_is_found_though_all_that_leaves_meanwhile_is_what_must_pass(seed
     mission = settings("trials", "backlogged", 49, seed)
     result = run_mission(replace(mission, profile=profile, estimator=adaptive))["link"]
     assert min(way["utilisation"] for way in result.values()) > 0.8
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_thin_link_that_has_held_its_queue_is_used_before_a_report_could_say_that_it_is_the_same(seed: int) -> None:
+    """The peer's datagrams of that time come as fast as the way back serves them."""
+    dark = steps((20, 100_000, 500), (10, 0, 500), (60, 100_000, 500))
+    mission = settings("trials", "backlogged", 40, seed)
+    trace = TraceLog()
+    run_mission(replace(mission, profile=dark, estimator=adaptive), trace)
+    entered = [r for r in trace.records["link"] if r["event"] == "packet" and r["direction"] == "down"]
+    bits = sum(8 * int(str(r["wire_bytes"])) for r in entered if 20e9 <= int(str(r["t_ns"])) < 33e9)
+    assert bits > 0.88 * 3 * 100_000, "of what it could serve in its first three seconds; 0.82 to 0.86 else"
+
+
+def test_a_link_that_has_held_its_queue_and_comes_back_thinner_is_not_filled() -> None:
+    """A second and a half of the old rate would fill its buffer."""
+    thinner = steps((20, 1_000_000, 50), (10, 0, 50), (60, 100_000, 500))
+    mission = settings("trials", "backlogged", 45, 1)
+    trace = TraceLog()
+    run_mission(replace(mission, profile=thinner, estimator=adaptive), trace)
+    entered = [r for r in trace.records["link"] if r["event"] == "packet" and r["direction"] == "down"]
+    bits = sum(8 * int(str(r["wire_bytes"])) for r in entered if 30e9 <= int(str(r["t_ns"])) < 32e9)
+    assert bits < 1.5 * 2 * 100_000

@@ -77,11 +77,6 @@ class Flight:
         topics: dict[str, Any] = self.result["topics"]
         return topics
 
-    def in_flight_bytes(self, side: str, at_s: float) -> int:
-        """What a side had in the link, by its own word just before a time."""
-        records = [r for r in self.trace.records[side] if r["event"] == "link_state"]
-        return int(str([r for r in records if int(str(r["t_ns"])) < at_s * S][-1]["in_flight_bytes"]))
-
     def numbers(self, side: str, topic: str) -> list[int]:
         """Numbers of the messages as they were delivered."""
         records = self.trace.records[side]
@@ -145,28 +140,26 @@ def blackout(rate_bps: int, delay_ms: int, held: bool) -> Profile:
 
 
 @cache
-def dark_flight(rate_bps: int, delay_ms: int, held: bool) -> Flight:
-    return Flight(blackout(rate_bps, delay_ms, held), 60)
+def dark_flight(rate_bps: int, delay_ms: int, held: bool, seed: int = 1) -> Flight:
+    return Flight(blackout(rate_bps, delay_ms, held), 60, seed)
 
 
 @pytest.mark.parametrize("link", [FAST, THIN], ids=["fast", "thin"])
-@pytest.mark.parametrize("held", [False, True], ids=["dropping", "holding the queue"])
+@pytest.mark.parametrize(("held", "seed"), [(False, 1), (True, 1), (True, 2)])
 def test_twenty_plans_of_a_blackout_arrive_once_in_order_and_within_three_round_trips(
-    link: tuple[int, int], held: bool
+    link: tuple[int, int], held: bool, seed: int
 ) -> None:
-    """... and their own transmission time; a link that held its queue first serves what was in flight."""
+    """... and their own transmission time, though a link that held its queue serves what that holds first."""
     rate_bps, delay_ms = link
-    flight = dark_flight(rate_bps, delay_ms, held)
+    flight = dark_flight(rate_bps, delay_ms, held, seed)
     for topic in ("robot/plan", "operator/plan"):
         side = receiver_of(topic)
         assert flight.numbers(side, topic) == list(range(40)), topic
         deliveries = flight.trace.deliveries(side, topic)
         dark = [when_s for when_s, age_ms in deliveries if 10 < when_s - age_ms / 1000 < 39.9]
         transmission_s = 20 * (600 + 10 + 28 + 10) * 8 / (0.95 * rate_bps)
-        caught_bytes = flight.in_flight_bytes(topic.split("/")[0], 10) if held else 0
         assert 19 <= len(dark) <= 20
-        bound_s = 3 * 2 * delay_ms / 1000 + transmission_s + caught_bytes * 8 / rate_bps
-        assert max(dark) - 40 < bound_s, topic
+        assert max(dark) - 40 < 3 * 2 * delay_ms / 1000 + transmission_s, topic
 
 
 @pytest.mark.parametrize("link", [FAST, THIN], ids=["fast", "thin"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,11 +17,12 @@ from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight, Flights
 from shaper.estimation.followed_rate import DRIFT_RATIO, FollowedRate
 from shaper.estimation.silence import Silence
+from shaper.estimation.standstill import Standstill
 from shaper.estimation.states import TRANSITIONS, Input, State, follow, mermaid
 from shaper.estimation.trains import Trains
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.link_estimator import PresetBand
-from shaper.path import SentPacket
+from shaper.path import HeardPacket, SentPacket
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -236,14 +238,14 @@ def test_a_train_that_waits_for_room_lets_what_must_pass_go_before_it() -> None:
 def test_nothing_is_probed_before_the_peer_is_heard() -> None:
     estimator = AdaptiveEstimator(now_ns=5 * S)
     assert estimator.probe_bytes(6 * S) == 0 and estimator.wakeup_at_ns() is None
-    estimator.on_heard(0, 123_456, 1 * S, 7 * S)
+    estimator.on_heard(HeardPacket(0, 123_456, 75, 1 * S), 7 * S)
     assert estimator.probe_bytes(7 * S) > 0 and estimator.confidence == 0.0
 
 
 def test_trains_that_nobody_reports_become_rare() -> None:
     """Else what a faster band carried would fill the buffer of a slower one for as long as no word comes."""
     estimator = AdaptiveEstimator(bands=(PresetBand("fast", 10_000_000, 50 * MS),))
-    estimator.on_heard(0, 0, 60 * S, 0)
+    estimator.on_heard(HeardPacket(0, 0, 75, 60 * S), 0)
     departures: list[int] = []
     now_ns = 0
     while now_ns < 20 * S:
@@ -306,3 +308,38 @@ def test_a_cautious_guess_slows_what_must_pass_no_more_than_the_last_rate_would(
     assert queue.urgent_at_ns(0) > 300 * MS
     queue.set(10_000, 2_000 * MS, 0, urgent_bps=100_000)
     assert queue.urgent_at_ns(0) < 100 * MS
+
+
+def heard_after(
+    silence_ns: int, later_ns: int, rate_bps: int, told_bps: int, numbers: Iterable[int]
+) -> list[bool]:
+    """What a watcher says of each datagram of 125 bytes that comes after a silence, served at a rate."""
+    standstill = Standstill()
+    now_ns, said = 31 * S, []
+    standstill.end(HeardPacket(6, 0, 125, peer_bps=told_bps), silence_ns, later_ns, now_ns)
+    for number in numbers:
+        now_ns += 1000 * S // rate_bps
+        said.append(standstill.is_as_before(HeardPacket(number, 0, 125, peer_bps=told_bps), 0.0, now_ns))
+    return said
+
+
+@pytest.mark.parametrize(
+    ("rate_bps", "as_before"), [(100_000, True), (90_000, True), (50_000, False), (1_000_000, False)]
+)
+def test_what_a_link_has_held_tells_whether_the_way_back_is_as_before(rate_bps: int, as_before: bool) -> None:
+    said = heard_after(30 * S, 29 * S, rate_bps, 100_000, range(7, 47))
+    assert said.count(True) == as_before
+
+
+def test_that_is_known_after_six_datagrams_in_a_row_whatever_is_lost_between() -> None:
+    assert heard_after(30 * S, 29 * S, 100_000, 100_000, [7, 8, 9, 11, 12, 14, 15, 16, 17]).index(True) == 7
+
+
+@pytest.mark.parametrize(
+    ("silence_ns", "later_ns", "told_bps"),
+    [(30 * S, 5 * S, 100_000), (S // 2, S // 2, 100_000), (30 * S, 29 * S, 0)],
+)
+def test_a_queue_that_formed_in_a_short_silence_or_after_it_says_nothing_of_that(
+    silence_ns: int, later_ns: int, told_bps: int
+) -> None:
+    assert not any(heard_after(silence_ns, later_ns, 100_000, told_bps, range(7, 47)))
