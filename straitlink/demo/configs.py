@@ -1,4 +1,4 @@
-"""The shapers' configurations of a demonstration: the examples, moved to free ports."""
+"""The shapers' configurations of a demonstration: the examples, or the user's own, moved to free ports."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from typing import Any
 import tomlkit
 
 from netem_scripts.band import Profile
+from shaper.config import load_config
 from shaper.key_file import write_key_file
 from shaper.link_key import make_link_key
+from straitlink.demo.errors import DemoError
 from straitlink.demo.log_topics import LogTopic
 from straitlink.mission.mission import preset_bands
 
@@ -34,6 +36,14 @@ class Addresses:
     operator_bus: str
 
 
+@dataclass(frozen=True, slots=True)
+class OwnConfigs:
+    """Shaper configurations in place of the examples."""
+
+    robot: Path | None = None
+    operator: Path | None = None
+
+
 def free_addresses() -> Addresses:
     """Ports that nobody uses, found by asking the kernel."""
     kinds = [socket.SOCK_DGRAM] * 4 + [socket.SOCK_STREAM] * 2
@@ -49,13 +59,20 @@ def free_addresses() -> Addresses:
 
 
 def write_configs(
-    folder: Path, addresses: Addresses, profile: Profile, log_topics: tuple[LogTopic, ...] | None
+    folder: Path,
+    addresses: Addresses,
+    profile: Profile,
+    log_topics: tuple[LogTopic, ...] | None,
+    own: OwnConfigs | None = None,
 ) -> None:
     """Write robot.toml, operator.toml, perception.toml and a key of their own for this once.
 
-    log_topics: of a foreign log, None for the synthetic one.
+    log_topics: of a foreign log, None for the synthetic one. Raises ConfigError or DemoError for an own
+    configuration that no shaper, or no demonstration, can take.
     """
-    robot, operator, perception = _example("robot"), _example("operator"), _example("perception")
+    own = own or OwnConfigs()
+    robot, operator = _own_or_example(own.robot, "robot"), _own_or_example(own.operator, "operator")
+    perception = _example("perception")
     perception["zenoh"]["connect"] = [addresses.robot_bus]
     (folder / "perception.toml").write_text(tomlkit.dumps(perception))
     _move(robot, addresses.robot_shaper, addresses.link_robot, addresses.robot_bus)
@@ -63,11 +80,13 @@ def write_configs(
     _set_bands(robot, profile, "down")
     _set_bands(operator, profile, "up")
     if log_topics is not None:
-        robot["topics"] = _rules(log_topics)
+        if own.robot is None:
+            robot["topics"] = _rules(log_topics)
         operator["link"]["accept"] = ["**"]
     write_temporary_key(folder)
     for side, document in (("robot", robot), ("operator", operator)):
-        del document["link"]["open"]
+        for name in ("open", "journal"):
+            document["link"].pop(name, None)
         document["link"]["keys"] = [KEY_FILE]
         (folder / f"{side}.toml").write_text(tomlkit.dumps(document))
 
@@ -77,6 +96,21 @@ def write_temporary_key(folder: Path) -> None:
     path = folder / KEY_FILE
     path.unlink(missing_ok=True)
     write_key_file(path, make_link_key(secrets.token_bytes))
+
+
+def _own_or_example(path: Path | None, side: str) -> Any:
+    if path is None:
+        return _example(side)
+    config = load_config(path)
+    if config.side != side:
+        raise DemoError(f"{path}: link.side = {config.side!r}: expected {side!r}")
+    if config.carousel is not None:
+        raise DemoError(f"{path}: carousel: expected none, as the demonstration's link has a way back")
+    document = tomlkit.parse(path.read_text())
+    for encoding in document.get("encodings", {}).values():
+        for name in {"proto", "dictionary"} & set(encoding):
+            encoding[name] = str((path.parent / encoding[name]).resolve())
+    return document
 
 
 def _example(side: str) -> Any:

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -19,7 +19,7 @@ from rich.live import Live
 
 from netem_scripts.profiles import load_profile
 from straitlink.demo.children import Child, Children
-from straitlink.demo.configs import KEY_FILE, Addresses, free_addresses, write_configs
+from straitlink.demo.configs import KEY_FILE, Addresses, OwnConfigs, free_addresses, write_configs
 from straitlink.demo.errors import DemoError
 from straitlink.demo.log_topics import LogTopic, read_log_topics
 from straitlink.demo.view import LiveView
@@ -49,13 +49,17 @@ _PARTS = (
 
 @dataclass(frozen=True, slots=True)
 class DemoSettings:
-    """What is shown. log: an MCAP file; None for the synthetic mission. out: folder of the results."""
+    """What is shown. log: an MCAP file; None for the synthetic mission. out: folder of the results.
+
+    own: shaper configurations in place of the examples; their addresses, keys and bands are replaced.
+    """
 
     out: Path
     log: Path | None = None
     profile: str = "trials"
     duration_s: float = 150.0
     seed: int = 1
+    own: OwnConfigs = field(default_factory=OwnConfigs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +78,9 @@ def run_demo(settings: DemoSettings, synthesize: Callable[[Path], None], console
     out = settings.out
     _refuse_a_folder_of_others(out)
     log, topics, unusable = _log_of(settings, synthesize, console)
-    _clear(out, log)
+    _clear(out, [path for path in (log, settings.own.robot, settings.own.operator) if path is not None])
     addresses = free_addresses()
-    write_configs(out, addresses, profile, topics)
+    write_configs(out, addresses, profile, topics, settings.own)
     recording = out / _RECORDING
     with _interruptible() as stop, Children(out) as children:
         sources = _start(children, settings, addresses, log, recording, unusable)
@@ -106,13 +110,14 @@ def _refuse_a_folder_of_others(out: Path) -> None:
     (out / _MARK).touch()
 
 
-def _clear(out: Path, log: Path) -> None:
+def _clear(out: Path, inputs: list[Path]) -> None:
     """Remove what an earlier demonstration left; its recording may be the log of this one."""
-    names = [f"{name}{suffix}" for name in _PARTS for suffix in (".jsonl", ".log", ".toml")]
+    names = [f"{name}{suffix}" for name in _PARTS for suffix in (".jsonl", ".log", ".toml", ".journal")]
     for name in (*names, "run.json", "report.html", KEY_FILE, _RECORDING):
         path = out / name
-        if path.exists() and log.exists() and path.samefile(log):
-            raise DemoError(f"{log} is where this demonstration would record: give another --out")
+        for given in inputs:
+            if path.exists() and given.exists() and path.samefile(given):
+                raise DemoError(f"{given} is where this demonstration would write: give another --out")
         path.unlink(missing_ok=True)
 
 

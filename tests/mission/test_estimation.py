@@ -114,7 +114,9 @@ def test_a_rise_is_found_though_all_that_leaves_meanwhile_is_what_must_pass(seed
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_thin_link_that_has_held_its_queue_is_used_before_a_report_could_say_that_it_is_the_same(seed: int) -> None:
+def test_a_thin_link_that_has_held_its_queue_is_used_before_a_report_could_say_that_it_is_the_same(
+    seed: int,
+) -> None:
     """The peer's datagrams of that time come as fast as the way back serves them."""
     dark = steps((20, 100_000, 500), (10, 0, 500), (60, 100_000, 500))
     mission = settings("trials", "backlogged", 40, seed)
