@@ -24,9 +24,11 @@ from typing import Any
 import numpy as np
 
 from bench.link_controls import DelayGradient, TrialsRule
+from bench.link_informed import informed
 from bench.link_rows import ROWS, Row
 from bench.link_score import Score, judge
 from bench.machine import provenance
+from netem_scripts.band import Profile
 from shaper.estimation.adaptive import AdaptiveEstimator
 from shaper.estimation.ideas import Ideas
 from shaper.estimation.predicting import PredictingEstimator
@@ -36,6 +38,7 @@ from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 
 OUT = Path("out/bench/link_estimation.json")
 MINUTES = 6.0
+SYNCHRONISED = {"trials rule", "informed", "oracle"}  # for which both hosts' clocks must show true time
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +80,8 @@ class Departures:
             self.packets[str(record["direction"])].append((t_ns, wire_bytes))
 
 
-def estimators() -> dict[str, EstimatorFactory]:
-    """By name; the ablations of ours are called adaptive-<idea>."""
+def estimators(profile: Profile, duration_ns: int) -> dict[str, EstimatorFactory]:
+    """By name; the ablations of ours are called adaptive-<idea>. profile: what the informed are told of."""
     return {
         "adaptive": lambda bands, now_ns: AdaptiveEstimator(now_ns=now_ns),
         **{f"adaptive-{idea.name}": _without(idea.name) for idea in fields(Ideas)},
@@ -86,6 +89,8 @@ def estimators() -> dict[str, EstimatorFactory]:
         "presets": lambda bands, now_ns: PresetBands(bands, now_ns=now_ns),
         "trials rule": TrialsRule,
         "gradient": DelayGradient,
+        "informed": informed(profile, duration_ns, guesses=False),
+        "oracle": informed(profile, duration_ns, guesses=True),
     }
 
 
@@ -104,9 +109,9 @@ def fly(row_name: str, estimator: str, seed: int, minutes: float = MINUTES) -> F
         load_named_or_file("backlogged"),
         duration_ns,
         seed,
-        estimator=estimators()[estimator],
+        estimator=estimators(profile, duration_ns)[estimator],
         max_drift_ppm=row.drift_ppm,
-        synchronised=estimator == "trials rule",
+        synchronised=estimator in SYNCHRONISED,
     )
     started_s = time.process_time()
     result = run_mission(settings, departures)

@@ -126,6 +126,11 @@ def _until_empty(empties: list[tuple[int, int]], grid: Times) -> Times:
     return np.maximum(0, empty_at - grid)
 
 
+def spans_of(direction: DirectionProfile, duration_ns: int) -> list[tuple[int, int, Band]]:
+    """The bands of a mission: from when, until when, which."""
+    return _spans(Link(direction, random.Random(0)), duration_ns)
+
+
 def _spans(link: Link, duration_ns: int) -> list[tuple[int, int, Band]]:
     spans, at_ns = [], 0
     while at_ns < duration_ns:

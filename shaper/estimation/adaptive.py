@@ -35,8 +35,10 @@ NS_PER_MS = 1_000_000
 
 START_BPS = 60_000  # assumed until the first train is reported; MIT's thin band with room for a heartbeat
 LEAST_BPS, MOST_BPS = 2_000, 100_000_000
-ALLOWANCE_NS = 4 * NS_PER_MS  # queue that is kept so that the link never runs dry, and every spread tells
-ALLOWANCE_NOISE = 0.25  # and this much per noise of arrivals
+ALLOWANCE_NS = (
+    7 * NS_PER_MS // 2
+)  # queue that is kept so that the link never runs dry, and every spread tells
+ALLOWANCE_NOISE = 0.4  # and this much per noise of arrivals
 SAME_CAUTION = 1.1  # a band may be so many times slower, though the peer's words take as long as before
 
 REPLIES, REPLY_NS = 3, 40 * NS_PER_MS  # single datagrams between the first trains, to report, so far apart
@@ -186,6 +188,7 @@ class AdaptiveEstimator:
         first = self._silence.heard_ns < 0
         reported, self._reported = self._reported, False
         silence_ns, sent_us, promise_ns = now_ns - self._silence.heard_ns, packet.sent_us, packet.promise_ns
+        noise_ns = self._silence.noise_ns
         late, quicker = self._silence.on_heard(packet.number, sent_us, promise_ns, now_ns)
         fills = self._way_back.fills(sent_us, promise_ns, self._silence.noise_ns, now_ns)
         if first:
@@ -201,7 +204,7 @@ class AdaptiveEstimator:
                 self._enter(Input.HEARD, now_ns)
                 self._begin_probing(now_ns)
                 if self._ideas.standstill:
-                    self._standstill.end(packet, silence_ns, self._silence.later_ns, now_ns)
+                    self._standstill.end(packet, silence_ns, self._silence.later_ns, noise_ns, now_ns)
         elif self.state is State.RUN:
             if quicker and self._ideas.quicker:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
@@ -212,7 +215,7 @@ class AdaptiveEstimator:
                 self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self.state is State.HOLD:
             return
-        elif self._standstill.is_as_before(packet, self._silence.noise_ns, now_ns):
+        elif self._standstill.is_as_before(packet, now_ns):
             self._send_as_before(now_ns)
         elif now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
             self._replies_left -= 1  # the peer waits to be told of its trains

@@ -39,11 +39,11 @@ _WINDOW_NS = (250_000_000, 4_000_000_000)  # ... but within these bounds
 class Pair:
     """Two datagrams in a row that arrived. gap_ns: between departures; spread_ns: between arrivals.
 
-    bits: of the second. queued: the second is taken to have met a queue. measurable: how close they arrived
-    says something about the rate.
+    bits: of the second; more_bits: than of the first. queued: the second is taken to have met a queue.
+    measurable: how close they arrived says something about the rate.
     """
 
-    __slots__ = ("bits", "gap_ns", "measurable", "number", "queued", "sent_ns", "spread_ns")
+    __slots__ = ("bits", "gap_ns", "measurable", "more_bits", "number", "queued", "sent_ns", "spread_ns")
 
     def __init__(self, first: Flight, second: Flight) -> None:
         assert first.arrived_ns is not None and second.arrived_ns is not None, "pairs have arrived"
@@ -52,8 +52,14 @@ class Pair:
         self.gap_ns = second.sent_ns - first.sent_ns
         self.spread_ns = second.arrived_ns - first.arrived_ns
         self.bits = second.bits
+        self.more_bits = second.bits - first.bits
         self.queued = second.wait_ns > 0
         self.measurable = self.spread_ns * FASTEST_BPS > self.bits * 1e9
+
+    def widest_ns(self, rate_bps: float) -> float:
+        """How far a link of this rate spreads them at most: what it needs for the second, or was idle."""
+        needs_ns = self.bits * 1e9 / rate_bps
+        return max(needs_ns, self.gap_ns + self.more_bits * 1e9 / rate_bps)
 
     def is_of(self, rate_bps: float) -> bool:
         """Whether a link of this rate would have spread them so."""
@@ -131,21 +137,23 @@ class Dispersion:
         apart_ns = _APART * 1e9 / rate_bps
         floor_ns = _NOISE_FACTOR * self.noise_ns + _FALL_FLOOR_NS
         bits = spread_ns = gap_ns = count = 0
+        explained_ns = 0.0
         slowest: Pair | None = None
         for pair in self._newest():
             if not pair.queued or pair.gap_ns > max(apart_ns * pair.bits, _EXPANDED * pair.spread_ns):
                 continue  # those that left far apart arrive so on an empty link
             bits, spread_ns, gap_ns = bits + pair.bits, spread_ns + pair.spread_ns, gap_ns + pair.gap_ns
+            explained_ns += pair.widest_ns(rate_bps)
             count += 1
             if slowest is None or pair.spread_ns > slowest.spread_ns:
                 slowest = pair
             if count < 3:
                 continue
             rest_ns = spread_ns - slowest.spread_ns
-            explained_ns = (bits - slowest.bits) * 1e9 / rate_bps
+            rest_explained_ns = explained_ns - slowest.widest_ns(rate_bps)
             if (
-                rest_ns > _FALL_RATIO * explained_ns
-                and rest_ns - explained_ns > floor_ns
+                rest_ns > _FALL_RATIO * rest_explained_ns
+                and rest_ns - rest_explained_ns > floor_ns
                 and gap_ns - slowest.gap_ns < _EXPANDED * rest_ns
             ):
                 return (bits - slowest.bits) * 1e9 / rest_ns

@@ -20,20 +20,25 @@ _SAME_RATIO = 1.25
 class Standstill:
     """Looks at the peer's datagrams from the first one after a silence on."""
 
-    __slots__ = ("_bits", "_last_ns", "_number", "_pairs", "_spread_ns", "_watching", "ended_ns")
+    __slots__ = ("_bits", "_last_ns", "_least_ns", "_number", "_pairs", "_spread_ns", "_watching", "ended_ns")
 
     def __init__(self) -> None:
         self._watching = False
         self.ended_ns = 0  # when the peer was heard again
-        self._number = self._last_ns = self._bits = self._pairs = self._spread_ns = 0
+        self._number = self._last_ns = self._bits = self._pairs = self._spread_ns = self._least_ns = 0
 
-    def end(self, packet: HeardPacket, silence_ns: int, later_ns: int, now_ns: int) -> None:
-        """The peer is heard again. later_ns: by how much this datagram took longer than the one before it."""
+    def end(self, packet: HeardPacket, silence_ns: int, later_ns: int, noise_ns: float, now_ns: int) -> None:
+        """The peer is heard again.
+
+        later_ns: by how much this datagram took longer than the one before it. noise_ns: one sigma of
+        arrivals until then; what the link has held comes with other delays.
+        """
         self._watching = silence_ns > STANDSTILL_NS and later_ns > _LATE_SHARE * silence_ns
         self._number, self._last_ns, self.ended_ns = packet.number, now_ns, now_ns
         self._bits = self._pairs = self._spread_ns = 0
+        self._least_ns = _LEAST_NS + int(_NOISE_FACTOR * noise_ns)
 
-    def is_as_before(self, packet: HeardPacket, noise_ns: float, now_ns: int) -> bool:
+    def is_as_before(self, packet: HeardPacket, now_ns: int) -> bool:
         """Whether the way back is known now to carry what it did; told once."""
         if not self._watching:
             return False
@@ -42,7 +47,7 @@ class Standstill:
             self._spread_ns += now_ns - self._last_ns
             self._pairs += 1
         self._number, self._last_ns = packet.number, now_ns
-        if self._pairs < _LEAST_PAIRS or self._spread_ns < _LEAST_NS + _NOISE_FACTOR * noise_ns:
+        if self._pairs < _LEAST_PAIRS or self._spread_ns < self._least_ns:
             return False
         self._watching = False
         carried_bps = self._bits * 1e9 / self._spread_ns

@@ -14,7 +14,8 @@ TRICKLE_BYTES = 54  # on the wire: large enough to be timed
 TRICKLE_NS = 100 * NS_PER_MS  # a datagram at least this often is not needed ...
 TRICKLE_SHARE = 0.015  # ... and at most this share of the rate is taken, as a link may hold the queue
 TRICKLE_SLOWING = 64  # its interval is at least the silence over this: half a minute held costs 0.2 s
-MAX_TRICKLE_NS = 200 * NS_PER_MS
+MAX_TRICKLE_NS = 150 * NS_PER_MS  # ... or this, as a blackout's end is noticed no sooner
+LONGEST_TRICKLE_NS = 2_000 * NS_PER_MS
 URGENT_SLOWING = 8  # and that of heartbeats the silence over this, at most ...
 URGENT_TRICKLES = 4  # ... so many of those
 
@@ -23,7 +24,7 @@ def trickle_ns(held_ns: int, rate_bps: float) -> int:
     """How soon the next datagram leaves when the link has been held for so long."""
     share_ns = int(TRICKLE_BYTES * 8 * NS_PER_S / (TRICKLE_SHARE * rate_bps))
     slowed_ns = min(held_ns // TRICKLE_SLOWING, MAX_TRICKLE_NS)
-    return max(TRICKLE_NS, min(share_ns, 10 * MAX_TRICKLE_NS), slowed_ns)
+    return max(TRICKLE_NS, min(share_ns, LONGEST_TRICKLE_NS), slowed_ns)
 
 
 def urgent_trickle_ns(held_ns: int, rate_bps: float) -> int:

@@ -15,10 +15,12 @@ from tests.mission.test_trials import accounted
 
 def test_twenty_per_cent_of_loss_costs_twenty_per_cent_of_heartbeats_and_no_more() -> None:
     lossy = with_faults(load_profile("constant-1m-50ms"), loss_ratio=0.2)
-    row = fly(lossy, seconds=120)["topics"]["robot/heartbeat"]
-    assert row["lost"] / row["offered"] == pytest.approx(0.2, abs=0.04)
-    assert row["superseded"] <= 2 and row["expired"] == 0
-    assert row["age_p95_ms"] < 90
+    rows = [fly(lossy, seconds=120, seed=seed)["topics"]["robot/heartbeat"] for seed in (1, 2, 3)]
+    offered = sum(row["offered"] for row in rows)
+    assert sum(row["lost"] for row in rows) / offered == pytest.approx(0.2, abs=0.03)
+    for row in rows:
+        assert row["superseded"] <= 2 and row["expired"] == 0
+        assert row["age_p95_ms"] < 90
 
 
 def test_duplicates_and_overtaking_deliver_nothing_twice() -> None:

@@ -145,7 +145,7 @@ def dark_flight(rate_bps: int, delay_ms: int, held: bool, seed: int = 1) -> Flig
 
 
 @pytest.mark.parametrize("link", [FAST, THIN], ids=["fast", "thin"])
-@pytest.mark.parametrize(("held", "seed"), [(False, 1), (True, 1), (True, 2)])
+@pytest.mark.parametrize(("held", "seed"), [(False, 1), (False, 2), (True, 1), (True, 2)])
 def test_twenty_plans_of_a_blackout_arrive_once_in_order_and_within_three_round_trips(
     link: tuple[int, int], held: bool, seed: int
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-
 from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight
 
@@ -51,3 +50,21 @@ def test_what_comes_in_a_clump_behind_a_delay_that_fell_is_no_rise() -> None:
         dispersion.add(first, second, 1e5)
     assert [pair.measurable for pair in dispersion._pairs] == [False, False, False, True]
     assert dispersion.risen(1e5) is None
+
+
+def test_large_datagrams_behind_small_ones_on_an_idle_link_are_no_fall() -> None:
+    """They are spread by their own size too; that they queued is what a sender with a wrong rate may think."""
+    dispersion = Dispersion()
+    now_ns = empty_ns = 0
+    flights = []
+    for number in range(12):
+        large = number % 2 == 1
+        size_bytes = 1200 if large else 60
+        now_ns += 4 * MS if large else 20 * MS
+        empty_ns = max(empty_ns, now_ns) + size_bytes * 8_000
+        flight = Flight(number, now_ns, size_bytes * 8, 1)
+        flight.arrived_ns = empty_ns + 50 * MS
+        flights.append(flight)
+    for first, second in pairwise(flights):
+        dispersion.add(first, second, 1e6)
+        assert dispersion.fallen(1e6) is None

@@ -316,10 +316,10 @@ def heard_after(
     """What a watcher says of each datagram of 125 bytes that comes after a silence, served at a rate."""
     standstill = Standstill()
     now_ns, said = 31 * S, []
-    standstill.end(HeardPacket(6, 0, 125, peer_bps=told_bps), silence_ns, later_ns, now_ns)
+    standstill.end(HeardPacket(6, 0, 125, peer_bps=told_bps), silence_ns, later_ns, 0.0, now_ns)
     for number in numbers:
         now_ns += 1000 * S // rate_bps
-        said.append(standstill.is_as_before(HeardPacket(number, 0, 125, peer_bps=told_bps), 0.0, now_ns))
+        said.append(standstill.is_as_before(HeardPacket(number, 0, 125, peer_bps=told_bps), now_ns))
     return said
 
 
