@@ -1,9 +1,9 @@
 """The best that anybody could do: a sender that is told the truth as soon as a datagram could carry it.
 
-It knows the link's model, its own queue to the bit, and each band from the moment on at which news of it can
-have come: by what has arrived there when the peer spoke, or, where both directions change at once, by the way
-back. It needs no measurement, no trains and no patience with noise, and cannot foresee. What it does not reach
-no estimator does; it is a bound for the table, and not for use.
+It knows the link's model, its own queue to the bit, and each band from the moment on at which news of it
+can have come: by what has arrived there when the peer spoke, or, where both directions change at once, by
+the way back. It needs no measurement, no trains and no patience with noise, and cannot foresee. What it does
+not reach no estimator does; it is a bound for the table, and not for use.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
-from bench.link_controls import Control
 from bench.link_score import spans_of
 from netem_scripts.band import Band, DirectionProfile, Profile
 from netem_scripts.link import Link
@@ -22,21 +22,20 @@ from shaper.estimation.adaptive import ALLOWANCE_NS
 from shaper.estimation.sizes import full_bytes
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.link_estimator import EstimatorFactory, PresetBand
-from shaper.path import HeardPacket, SentPacket
+from shaper.path import HeardPacket, ReportedPacket, SentPacket
 
 _MAX_WIRE_BYTES = 1228
 _STAMP = 1 << 32
 _NEVER_NS = 1 << 62
+_NO_LIMIT_BYTES = 1 << 40
 
 
-class Informed(Control):
+class Informed:
     """One direction's sender. Both hosts' clocks must show true time.
 
     guesses: whether it knows at once what our direction has become when the way back tells that something
     has changed; else it holds until one of its own datagrams could tell.
     """
-
-    pacer: VirtualQueue
 
     def __init__(
         self,
@@ -48,8 +47,10 @@ class Informed(Control):
         guesses: bool,
     ) -> None:
         self._bands = spans_of(ours, duration_ns)
-        super().__init__(self._bands[0][2].rate_bps, now_ns)
+        self.rate_bps = self._bands[0][2].rate_bps
         self.pacer = VirtualQueue(self.rate_bps, ALLOWANCE_NS, now_ns)
+        self.trickles, self.band, self.confidence, self.loss_ratio = True, "", 1.0, 0.0
+        self.in_flight_limit_bytes = _NO_LIMIT_BYTES
         self._ours = _without_loss(ours)
         self._began_ns, self._guesses = now_ns, guesses
         self._link = Link(self._ours, random.Random(0))
@@ -63,12 +64,20 @@ class Informed(Control):
     def datagram_bytes(self) -> int:
         return full_bytes(self.rate_bps, _MAX_WIRE_BYTES)
 
-    @datagram_bytes.setter
-    def datagram_bytes(self, _: int) -> None:
-        """It follows the rate."""
+    @property
+    def queue_ns(self) -> int:
+        return self.pacer.level_ns
 
-    def _set_rate(self, rate_bps: int, now_ns: int) -> None:
-        self.rate_bps = rate_bps
+    def probe_bytes(self, now_ns: int) -> int:
+        return 0
+
+    def on_peer_restarted(self, now_ns: int) -> None:
+        """Nothing to forget."""
+
+    def on_report(
+        self, settled: Sequence[ReportedPacket], rtt_ns: int | None, loss_ratio: float, now_ns: int
+    ) -> None:
+        self.loss_ratio = loss_ratio
 
     def on_sent(self, packet: SentPacket, now_ns: int) -> None:
         at_ns = now_ns - self._began_ns
@@ -136,9 +145,7 @@ def _without_loss(direction: DirectionProfile) -> DirectionProfile:
 def _news(changes_ns: list[int], theirs: DirectionProfile, duration_ns: int) -> list[tuple[int, int]]:
     """When the way back tells of changes of ours that it shares, and the bands that they begin."""
     back = spans_of(theirs, duration_ns)
-    delay_before_ns = {
-        begin: before[2].one_way_delay_ns for before, (begin, _, _) in zip(back, back[1:], strict=False)
-    }
+    delay_before_ns = {begin: before[2].one_way_delay_ns for before, (begin, _, _) in pairwise(back)}
     return [
         (at_ns + delay_before_ns[at_ns], number)
         for number, at_ns in enumerate(changes_ns, 1)

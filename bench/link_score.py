@@ -21,6 +21,7 @@ from netem_scripts.schedule import FOREVER_NS
 GRID_NS = 5_000_000
 LONG_QUEUE_NS = 100_000_000
 WINDOW_NS = 10_000_000_000
+_TELLING_NS, _TELLING_RATIO = 20_000_000, 1.25  # a way back that is slower by this much tells something
 REACTION_NS = 250_000_000  # a rate is what enters the link over so long
 NS_PER_S = 1_000_000_000
 
@@ -33,7 +34,7 @@ class Change:
     """A change of rate between two bands that both carry something.
 
     reaction_s: until what enters is at most 1.06, or at least 0.85, of the new rate; NaN: never.
-    peak_s: the longest queue in the new band. bound_s: the least that a sender can know of a fall too late.
+    peak_s: the longest queue in the new band. bound_s: what of it is sent before anybody can know.
     """
 
     at_s: float
@@ -173,13 +174,25 @@ def _changes(
         target = new.rate_bps * (0.85 if rising else 1.06)
         reaction = _first_rate(entered, sums, begin, end, target, rising=rising)
         peak = int(queue[(grid >= begin) & (grid < end)].max())
-        theirs_before, theirs_after = back.band_at(begin - 1), back.band_at(begin)
-        together = theirs_before.one_way_delay_ns != theirs_after.one_way_delay_ns
-        together |= theirs_before.rate_bps != theirs_after.rate_bps
-        blind_ns = theirs_before.one_way_delay_ns + (0 if together else old.one_way_delay_ns)
+        blind_ns = _blind_ns(old, back.band_at(begin - 1), back.band_at(begin))
         bound = max(0, old.rate_bps - new.rate_bps) / new.rate_bps * blind_ns
         changes.append(Change(begin / 1e9, old.rate_bps, new.rate_bps, reaction, peak / 1e9, bound / 1e9))
     return changes
+
+
+def _blind_ns(old: Band, back_old: Band, back_new: Band) -> int:
+    """How long after a change no sender can know of it, without loss.
+
+    Where the way back becomes slower with ours, the peer's next datagram fails to come: that is news after
+    the way back's delay. One that is as before, or better, says nothing of our direction: then the first of
+    our datagrams must fail to arrive there, and the peer speak of that.
+    """
+    worse = back_new.one_way_delay_ns > back_old.one_way_delay_ns + _TELLING_NS
+    worse |= back_new.rate_bps * _TELLING_RATIO < back_old.rate_bps
+    if worse:
+        return back_old.one_way_delay_ns
+    spoken_ns = old.one_way_delay_ns + back_new.one_way_delay_ns
+    return max(spoken_ns, back_old.one_way_delay_ns)
 
 
 def _first_rate(

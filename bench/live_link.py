@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
 import tempfile
 import threading
@@ -32,12 +33,17 @@ from shaper.bus import open_bus
 from straitlink.mission import LoadTopic, load_named_or_file
 
 OUT = Path("out/bench/live_link.json")
+_BARE_S = 10.0
 _SIDES = {"down": "robot", "up": "operator"}
 
 
 @dataclass(frozen=True, slots=True)
 class LiveFigures:
-    """utilisation by all bytes on the wire. cpu_by_rate: by what the link carries down (bit/s)."""
+    """utilisation by all bytes on the wire. cpu_by_rate: by what the link carries down (bit/s).
+
+    wakeups_per_s: of all threads of the shaper. cpu_of_bare_wakeups: what a Python process takes here that
+    wakes up as often, and does nothing.
+    """
 
     profile: str
     minutes: float
@@ -51,6 +57,8 @@ class LiveFigures:
     worst_window: float
     cpu_of_a_core: float
     cpu_by_rate: dict[int, float]
+    wakeups_per_s: int
+    cpu_of_bare_wakeups: float
 
 
 def measure(profile_name: str, minutes: float) -> LiveFigures:
@@ -72,11 +80,14 @@ def measure(profile_name: str, minutes: float) -> LiveFigures:
         threads = [threading.Thread(target=_publish, args=(rig, topic, stop)) for topic in topics]
         for thread in threads:
             thread.start()
+        began = rig.wakeups("robot"), time.monotonic()
         cpu = _watch(rig, minutes * 60)
+        wakeups_per_s = (rig.wakeups("robot") - began[0]) / (time.monotonic() - began[1])
+        bare = _bare_wakeups(wakeups_per_s)  # while the others go on
         stop.set()
         for thread in threads:
             thread.join()
-        return _figures(rig, profile, minutes, cpu)
+        return _figures(rig, profile, minutes, cpu, round(wakeups_per_s), bare)
 
 
 def _enough(topic: LoadTopic, profile: Profile) -> LoadTopic:
@@ -105,7 +116,28 @@ def _watch(rig: WireRig, seconds: float) -> list[tuple[int, float]]:
     return samples
 
 
-def _figures(rig: WireRig, profile: Profile, minutes: float, cpu: list[tuple[int, float]]) -> LiveFigures:
+def _bare_wakeups(rate_hz: float) -> float:
+    """Share of a core that a process takes which wakes up so often."""
+    code = (
+        "import select, sys, time\n"
+        "wait_s, began_s = float(sys.argv[1]), time.process_time()\n"
+        "for _ in range(round(float(sys.argv[2]) / wait_s)): select.select([], [], [], wait_s)\n"
+        "print(time.process_time() - began_s)\n"
+    )
+    command = [sys.executable, "-c", code, str(1 / rate_hz), str(_BARE_S)]
+    return round(
+        float(subprocess.run(command, check=True, capture_output=True, text=True).stdout) / _BARE_S, 4
+    )
+
+
+def _figures(
+    rig: WireRig,
+    profile: Profile,
+    minutes: float,
+    cpu: list[tuple[int, float]],
+    wakeups_per_s: int,
+    cpu_of_bare_wakeups: float,
+) -> LiveFigures:
     records = rig.records("link")
     begin_ns = next(r["t_ns"] for r in records if r["event"] == "band")
     end_ns = min(records[-1]["t_ns"] - begin_ns, round(minutes * 60e9))
@@ -130,6 +162,8 @@ def _figures(rig: WireRig, profile: Profile, minutes: float, cpu: list[tuple[int
         worst_window=round(min(down.worst_window, up.worst_window), 3),
         cpu_of_a_core=round((cpu[-1][1] - cpu[0][1]) / ((cpu[-1][0] - cpu[0][0]) / 1e9), 4),
         cpu_by_rate=_cpu_by_rate(cpu, rates),
+        wakeups_per_s=wakeups_per_s,
+        cpu_of_bare_wakeups=cpu_of_bare_wakeups,
     )
 
 

@@ -93,6 +93,14 @@ class WireRig:
         fields = Path(f"/proc/{self._running[name].pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
+    def wakeups(self, name: str) -> int:
+        """How often threads of a process have waited for something so far (Linux: proc(5), status)."""
+        count = 0
+        for thread in Path(f"/proc/{self._running[name].pid}/task").iterdir():
+            line = next(s for s in (thread / "status").read_text().splitlines() if s.startswith("voluntary"))
+            count += int(line.split()[1])
+        return count
+
     def bus(self, side: str) -> BusSettings:
         """How to join the bus of a side."""
         return BusSettings(

@@ -39,7 +39,8 @@ def link_estimation(document: Document) -> Section:
         "What the shaper makes of a link",
         f"An always backlogged mission of {document['minutes']:g} virtual minutes on each link, the worst of "
         "the seeds. *Used*: of the true rate, by all bytes sent. *Fall*, *rise*: seconds until the rate "
-        "is right after a change. *Back*: after a blackout. *Misses*: figures outside what the row asks for.",
+        "is right after a change. *Back*: after a blackout. *Misses*: figures outside what the row asks for. "
+        "*Informed* is no estimator but a bound: a sender that is told the truth as soon as word could come.",
         command_text(document, "python -m bench.link_estimation"),
         provenance_text(document),
         tables,
@@ -58,6 +59,8 @@ def live_link(document: Document) -> Section:
         ["time with a queue beyond 100 ms", f"{document['long_ratio']:.2%}"],
         ["datagrams dropped by a full buffer", str(document["tail_drops"])],
         ["CPU of the robot's shaper, of a core", by_rate],
+        ["its wake-ups a second", str(document["wakeups_per_s"])],
+        ["CPU of as many wake-ups that do nothing, of a core", f"{document['cpu_of_bare_wakeups']:.3f}"],
     ]
     return Section(
         f"The same with real processes: {document['profile']}",

@@ -35,11 +35,9 @@ NS_PER_MS = 1_000_000
 
 START_BPS = 60_000  # assumed until the first train is reported; MIT's thin band with room for a heartbeat
 LEAST_BPS, MOST_BPS = 2_000, 100_000_000
-ALLOWANCE_NS = (
-    7 * NS_PER_MS // 2
-)  # queue that is kept so that the link never runs dry, and every spread tells
+ALLOWANCE_NS = 3_600_000  # queue that is kept so that the link never runs dry, and every spread tells
 ALLOWANCE_NOISE = 0.4  # and this much per noise of arrivals
-SAME_CAUTION = 1.1  # a band may be so many times slower, though the peer's words take as long as before
+SAME_CAUTION = 1.05  # a band may be so many times slower, though the peer's words take as long as before
 
 REPLIES, REPLY_NS = 3, 40 * NS_PER_MS  # single datagrams between the first trains, to report, so far apart
 SAME_RATIO = 1.05  # trains this near the old rate are the old band's, whose delay holds
@@ -189,7 +187,7 @@ class AdaptiveEstimator:
         reported, self._reported = self._reported, False
         silence_ns, sent_us, promise_ns = now_ns - self._silence.heard_ns, packet.sent_us, packet.promise_ns
         noise_ns = self._silence.noise_ns
-        late, quicker = self._silence.on_heard(packet.number, sent_us, promise_ns, now_ns)
+        late, quicker = self._silence.on_heard(packet, now_ns)
         fills = self._way_back.fills(sent_us, promise_ns, self._silence.noise_ns, now_ns)
         if first:
             self._epoch_ns = self.pacer.not_before_ns = now_ns
@@ -306,7 +304,7 @@ class AdaptiveEstimator:
         """The cautious rate: a band that was seen, or a tenth of the last."""
         known_bps = self._known_bps or START_BPS
         cautious_bps = self._bands.cautious_bps(known_bps, seen=self._ideas.bands)
-        if self._silent and self._silence.same:  # a blackout, more likely than another band
+        if self._silent and self._silence.as_ever:  # a blackout, more likely than another band
             cautious_bps = known_bps / SAME_CAUTION
             self._trains.interval_ns = 0
         first = self._flights.first_since(self._epoch_ns)

@@ -10,9 +10,10 @@ import math
 
 from shaper.frames import NUMBER_BITS
 from shaper.loss import LossMeter
+from shaper.path import HeardPacket
 from shaper.serial_number import expand
 
-_MARGIN_NS = 5_000_000  # a timer's lateness, on either side
+_MARGIN_NS = 4_000_000  # a timer's lateness, on either side
 _NOISE_FACTOR = 6.0
 _FALSE_ALARMS = 2e-4  # chance that so many datagrams in a row are lost
 _HICCUPS = 3e-3  # and that so many of the peer's are, which costs no more than until the next one
@@ -20,6 +21,8 @@ _LEAST_LOSS = 0.005
 _LATE_NS = 20_000_000  # what ends a hiccup is later than its predecessor by no more than this ...
 _LATE_SHARE = 0.35  # ... or this share of the silence
 _SAME_NS = 5_000_000
+_AS_EVER_NS = 10_000_000  # a queue of the peer's is as long
+_QUICKEST_OF = 64
 _LARGEST_NS = 200_000_000  # that a backlog's datagram may take: a small one's successor may be so large
 _LARGEST_OF = 32  # how many of the peer's datagrams are sure to have had a large one among them
 HICCUP_NS = 300_000_000  # a longer silence is none
@@ -36,12 +39,15 @@ class Silence:
         self.misses = 1  # datagrams in a row that must fail to come before that is more than loss
         self.same = False  # whether the newest datagram took as long as the one before it
         self.later_ns = 0  # how much longer it took
+        self.as_ever = False  # whether it took as long as the quickest of late, but for its size
         self.unbroken = False  # whether it also follows that one, so that the peer itself was late
         self._largest_ns = 0  # the longest promise of late: what the peer's largest datagrams take
         self._largest_since_ns = self._counted = 0  # that of those counted
         self._number = -1
         self._loss = LossMeter()
         self._delay_us: int | None = None  # of the newest datagram, plus the clocks' offset
+        self._quickest_us: tuple[int, ...] = ()  # the least delays of late, less what it took to serve, ...
+        self._compared = 0  # ... of one to two times so many datagrams, and of the newest up to so many
         self._promise_ns = 0
         self._least_us = 0
         self._deviation_us = 0.0
@@ -57,8 +63,9 @@ class Silence:
             return 1
         return min(12, math.ceil(math.log(chance) / math.log(min(loss_ratio, 0.5))))
 
-    def on_heard(self, number: int, sent_us: int, promise_ns: int, now_ns: int) -> tuple[bool, bool]:
+    def on_heard(self, packet: HeardPacket, now_ns: int) -> tuple[bool, bool]:
         """A datagram has come: whether it was late against the last, and whether the path is quicker."""
+        number, promise_ns = packet.number, packet.promise_ns
         number = expand(number, NUMBER_BITS, self._number) if self._number >= 0 else number
         if self._number >= 0 and 0 < number - self._number < 64 and now_ns < self.deadline_ns:
             for _ in range(number - self._number - 1):
@@ -66,7 +73,8 @@ class Silence:
             self._loss.on_settled(lost=False)
         follows = self._number >= 0 and number == self._number + 1
         self._number = max(self._number, number)
-        late, quicker = self._judge_delay(now_ns // 1000 - sent_us, promise_ns, now_ns - self.heard_ns)
+        late, quicker = self._judge_delay(now_ns // 1000 - packet.sent_us, promise_ns, now_ns - self.heard_ns)
+        self._compare_with_the_quickest(packet, now_ns, late=late)
         self.heard_ns = now_ns
         self.unbroken = follows and self.same
         self.misses = self.needed_misses(self._loss.ratio, _HICCUPS)
@@ -75,6 +83,24 @@ class Silence:
         margin_ns = _MARGIN_NS + max(int(_NOISE_FACTOR * self.noise_ns), self._largest_ns - promise_ns)
         self.deadline_ns = now_ns + self.misses * promise_ns + margin_ns
         return late, quicker
+
+    def _compare_with_the_quickest(self, packet: HeardPacket, now_ns: int, *, late: bool) -> None:
+        """What it took to serve is known by the rate that the peer has told."""
+        if not packet.peer_bps:
+            self.as_ever = self.same
+            return
+        served_us = packet.wire_bytes * 8_000_000 // packet.peer_bps
+        delay_us = now_ns // 1000 - packet.sent_us - served_us
+        off_ns = min(abs(delay_us - quickest_us) for quickest_us in self._quickest_us or (delay_us,)) * 1000
+        self.as_ever = off_ns < max(_AS_EVER_NS, _NOISE_FACTOR * self.noise_ns)
+        if late or not self._quickest_us:
+            self._quickest_us, self._compared = (delay_us, delay_us), 0
+            return
+        former_us, newest_us = self._quickest_us
+        self._compared += 1
+        if self._compared % _QUICKEST_OF == 0:
+            former_us, newest_us = newest_us, delay_us
+        self._quickest_us = min(former_us, delay_us), min(newest_us, delay_us)
 
     def _note_size(self, promise_ns: int) -> None:
         """Of a backlog: what the datagram itself takes."""
@@ -86,7 +112,7 @@ class Silence:
 
     def on_peer_restarted(self) -> None:
         """Another clock, other numbers."""
-        self._number, self._delay_us = -1, None
+        self._number, self._delay_us, self._quickest_us = -1, None, ()
 
     def _judge_delay(self, delay_us: int, promise_ns: int, silence_ns: int) -> tuple[bool, bool]:
         """A larger datagram takes longer; in a backlog the next one follows it later by just that."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 FILLS_NS = 120_000_000  # longer in all, what their sizes explain taken off: what the last ones rose by ...
 RISES = 3  # ... at least so many in a row, each by ...
-RISE_NS = 3_000_000  # ... more than this; one step alone is another delay
+RISE_NS = 1_500_000  # ... more than this; one step alone is another delay
 NOISE_FACTOR = 6.0
 
 

@@ -12,7 +12,7 @@ from netem_scripts.band import Band, DirectionProfile, Profile
 from netem_scripts.trials import TRIALS_BUFFER_NS
 from straitlink.mission import run_mission
 from straitlink.mission.mission import adaptive
-from tests.mission.scenarios import TraceLog, settings
+from tests.mission.scenarios import TraceLog, band, both_ways, settings
 
 
 @cache
@@ -125,6 +125,17 @@ def test_a_thin_link_that_has_held_its_queue_is_used_before_a_report_could_say_t
     entered = [r for r in trace.records["link"] if r["event"] == "packet" and r["direction"] == "down"]
     bits = sum(8 * int(str(r["wire_bytes"])) for r in entered if 20e9 <= int(str(r["t_ns"])) < 33e9)
     assert bits > 0.88 * 3 * 100_000, "of what it could serve in its first three seconds; 0.82 to 0.86 else"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_thin_link_that_was_dark_is_used_as_before_once_the_peer_is_heard(seed: int) -> None:
+    """A trickle's datagram is smaller than those before the darkness: it is its delay that tells."""
+    dark = both_ways(band(20, 100_000, 500), band(10, 100_000, 500, loss_ratio=1.0), band(60, 100_000, 500))
+    trace = TraceLog()
+    run_mission(replace(settings(dark, "backlogged", 40, seed), estimator=adaptive), trace)
+    entered = [r for r in trace.records["link"] if r["event"] == "packet" and r["direction"] == "down"]
+    bits = sum(8 * int(str(r["wire_bytes"])) for r in entered if 30.85e9 <= int(str(r["t_ns"])) < 31.35e9)
+    assert bits > 0.85 * 50_000, "a report could say so at 31.2 s"
 
 
 def test_a_link_that_has_held_its_queue_and_comes_back_thinner_is_not_filled() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+
 from shaper.estimation.dispersion import Dispersion
 from shaper.estimation.flights import Flight
 

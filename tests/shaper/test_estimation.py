@@ -271,7 +271,9 @@ def test_a_large_datagram_after_a_small_one_is_neither_missed_nor_late() -> None
         small = number % 5 == 4
         now_ns += 50 * MS if number % 5 else 8 * MS
         delay_ns = 500 * MS + (8 * MS if small else 50 * MS)
-        late, _ = silence.on_heard(number, (now_ns - delay_ns) // 1000, 11 * MS if small else 53 * MS, now_ns)
+        late, _ = silence.on_heard(
+            HeardPacket(number, (now_ns - delay_ns) // 1000, 75, 11 * MS if small else 53 * MS), now_ns
+        )
         assert not late
         assert silence.deadline_ns > now_ns + 53 * MS
 
@@ -284,7 +286,9 @@ def test_sizes_of_datagrams_are_no_noise_of_the_path() -> None:
         small = number % 2 == 1
         now_ns += 50 * MS if number % 2 else 8 * MS
         delay_ns = 500 * MS + (8 * MS if small else 50 * MS)
-        silence.on_heard(number, (now_ns - delay_ns) // 1000, 9 * MS if small else 52 * MS, now_ns)
+        silence.on_heard(
+            HeardPacket(number, (now_ns - delay_ns) // 1000, 75, 9 * MS if small else 52 * MS), now_ns
+        )
     assert silence.noise_ns < 2 * MS
     assert silence.deadline_ns - now_ns < 9 * MS + 52 * MS + 10 * MS
     assert silence.same
@@ -298,7 +302,7 @@ def test_a_thin_link_whose_datagrams_are_mostly_small_is_not_silent_before_a_lar
         now_ns += 175 * MS if large else 112 * MS
         assert now_ns <= silence.deadline_ns or number < 10
         size_ns = 175 * MS if large else 117 * MS
-        silence.on_heard(number, (now_ns - 50 * MS - size_ns) // 1000, size_ns, now_ns)
+        silence.on_heard(HeardPacket(number, (now_ns - 50 * MS - size_ns) // 1000, 75, size_ns), now_ns)
 
 
 def test_a_cautious_guess_slows_what_must_pass_no_more_than_the_last_rate_would() -> None:
@@ -343,3 +347,33 @@ def test_a_queue_that_formed_in_a_short_silence_or_after_it_says_nothing_of_that
     silence_ns: int, later_ns: int, told_bps: int
 ) -> None:
     assert not any(heard_after(silence_ns, later_ns, 100_000, told_bps, range(7, 47)))
+
+
+def heard_by_size(
+    silence: Silence, sizes: Iterable[int], delay_ns: int, told_bps: int, start_ns: int
+) -> None:
+    """A backlog of the peer's at 100 kbit/s: each datagram arrives when it has been served."""
+    now_ns = start_ns
+    for number, size_bytes in enumerate(sizes, silence._number + 1):
+        served_ns = size_bytes * 80_000
+        now_ns += served_ns
+        sent_us = (now_ns - served_ns - delay_ns) // 1000
+        silence.on_heard(HeardPacket(number, sent_us, size_bytes, served_ns + 3 * MS, told_bps), now_ns)
+
+
+@pytest.mark.parametrize(("other_ns", "as_ever"), [(500 * MS, True), (900 * MS, False), (450 * MS, False)])
+def test_a_small_datagram_after_a_blackout_took_as_long_as_the_large_ones_before_it_but_for_its_size(
+    other_ns: int, as_ever: bool
+) -> None:
+    silence = Silence()
+    heard_by_size(silence, [620] * 40, 500 * MS, 100_000, 0)
+    heard_by_size(silence, [56], other_ns, 100_000, 40 * S)
+    assert silence.as_ever is as_ever
+
+
+def test_delays_that_a_wrongly_told_rate_made_look_short_are_forgotten() -> None:
+    silence = Silence()
+    heard_by_size(silence, [620] * 10, 500 * MS, 60_000, 0)
+    heard_by_size(silence, [620] * 128, 500 * MS, 100_000, 10 * S)
+    heard_by_size(silence, [56], 500 * MS, 100_000, 60 * S)
+    assert silence.as_ever
