@@ -2,8 +2,8 @@
 
 It knows the link's model, its own queue to the bit, and each band from the moment on at which news of it
 can have come: by what has arrived there when the peer spoke, or, where both directions change at once, by
-the way back. It needs no measurement, no trains and no patience with noise, and cannot foresee. What it does
-not reach no estimator does; it is a bound for the table, and not for use.
+the way back. It needs no measurement, no trains and no patience with noise, and cannot foresee. It shows what
+perfect measuring would be worth; one that guesses at a change, and is right, may use more of the link.
 """
 
 from __future__ import annotations

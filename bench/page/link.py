@@ -40,7 +40,7 @@ def link_estimation(document: Document) -> Section:
         f"An always backlogged mission of {document['minutes']:g} virtual minutes on each link, the worst of "
         "the seeds. *Used*: of the true rate, by all bytes sent. *Fall*, *rise*: seconds until the rate "
         "is right after a change. *Back*: after a blackout. *Misses*: figures outside what the row asks for. "
-        "*Informed* is no estimator but a bound: a sender that is told the truth as soon as word could come.",
+        "*Informed* is a yardstick: a sender that is told the truth as soon as word could come.",
         command_text(document, "python -m bench.link_estimation"),
         provenance_text(document),
         tables,

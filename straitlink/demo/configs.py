@@ -67,8 +67,7 @@ def write_configs(
 ) -> None:
     """Write robot.toml, operator.toml, perception.toml and a key of their own for this once.
 
-    log_topics: of a foreign log, None for the synthetic one. Raises ConfigError or DemoError for an own
-    configuration that no shaper, or no demonstration, can take.
+    log_topics: of a foreign log, None for the synthetic one. own: as `check_configs` has found them good.
     """
     own = own or OwnConfigs()
     robot, operator = _own_or_example(own.robot, "robot"), _own_or_example(own.operator, "operator")
@@ -98,14 +97,21 @@ def write_temporary_key(folder: Path) -> None:
     write_key_file(path, make_link_key(secrets.token_bytes))
 
 
+def check_configs(own: OwnConfigs) -> None:
+    """Raises ConfigError or DemoError for one that no shaper, or no demonstration, can take."""
+    for side, path in (("robot", own.robot), ("operator", own.operator)):
+        if path is None:
+            continue
+        config = load_config(path)
+        if config.side != side:
+            raise DemoError(f"{path}: link.side = {config.side!r}: expected {side!r}")
+        if config.carousel is not None:
+            raise DemoError(f"{path}: carousel: expected none, as the demonstration's link has a way back")
+
+
 def _own_or_example(path: Path | None, side: str) -> Any:
     if path is None:
         return _example(side)
-    config = load_config(path)
-    if config.side != side:
-        raise DemoError(f"{path}: link.side = {config.side!r}: expected {side!r}")
-    if config.carousel is not None:
-        raise DemoError(f"{path}: carousel: expected none, as the demonstration's link has a way back")
     document = tomlkit.parse(path.read_text())
     for encoding in document.get("encodings", {}).values():
         for name in {"proto", "dictionary"} & set(encoding):

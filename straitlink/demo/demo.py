@@ -19,7 +19,14 @@ from rich.live import Live
 
 from netem_scripts.profiles import load_profile
 from straitlink.demo.children import Child, Children
-from straitlink.demo.configs import KEY_FILE, Addresses, OwnConfigs, free_addresses, write_configs
+from straitlink.demo.configs import (
+    KEY_FILE,
+    Addresses,
+    OwnConfigs,
+    check_configs,
+    free_addresses,
+    write_configs,
+)
 from straitlink.demo.errors import DemoError
 from straitlink.demo.log_topics import LogTopic, read_log_topics
 from straitlink.demo.view import LiveView
@@ -75,6 +82,7 @@ class DemoResult:
 def run_demo(settings: DemoSettings, synthesize: Callable[[Path], None], console: Console) -> DemoResult:
     """Run it. synthesize writes the synthetic log to a path. Raises DemoError, and leaves nothing running."""
     profile = load_profile(settings.profile)
+    check_configs(settings.own)
     out = settings.out
     _refuse_a_folder_of_others(out)
     log, topics, unusable = _log_of(settings, synthesize, console)

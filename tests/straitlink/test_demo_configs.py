@@ -10,7 +10,7 @@ import tomlkit
 from netem_scripts.profiles import load_profile
 from shaper.config import ShaperConfig, load_config
 from shaper.errors import ConfigError
-from straitlink.demo.configs import Addresses, OwnConfigs, write_configs
+from straitlink.demo.configs import Addresses, OwnConfigs, check_configs, write_configs
 from straitlink.demo.errors import DemoError
 from straitlink.demo.log_topics import LogTopic
 
@@ -48,6 +48,7 @@ def written(
     """What the two shapers would read."""
     out = folder / "out"
     out.mkdir()
+    check_configs(own)
     write_configs(out, ADDRESSES, load_profile("trials"), log_topics, own)
     return load_config(out / "robot.toml"), load_config(out / "operator.toml")
 
