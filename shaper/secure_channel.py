@@ -48,6 +48,9 @@ _REKEY_AFTER_SEALED = MAX_SEALED // 2
 SILENCE_NS = 3 * _NS_PER_S  # without anything from the peer: it may have lost the session
 _FIRST_RETRIES, _FIRST_RETRY_NS = 120, _NS_PER_S // 2
 _RETRY_NS, _SILENT_RETRY_NS = _NS_PER_S, 2 * _NS_PER_S
+_SILENT_SLOWING = 3  # and no sooner than this share of the silence: a link that stands still keeps them all
+_LONGEST_RETRY_NS = 10 * _NS_PER_S
+_ONE_ANSWER_NS = _NS_PER_S  # what a peer that we know asks within this is a backlog: one answer serves it
 _MAX_ANSWERED = 8  # handshakes that wait for the peer's proof
 _MAX_ASKED = 16  # and for its answer: of round trips up to eight seconds
 _UNDER_WAY_NS = 60 * _NS_PER_S
@@ -241,7 +244,8 @@ class SecureChannel:
         self._to_send.append((encode_initiation(key, self._initiations.check_of(key), message), where))
         self._attempts += 1
         if self._sessions:
-            retry_ns = _SILENT_RETRY_NS
+            silence_ns = 0 if self.last_heard_ns is None else now_ns - self.last_heard_ns
+            retry_ns = min(max(_SILENT_RETRY_NS, silence_ns // _SILENT_SLOWING), _LONGEST_RETRY_NS)
         else:
             retry_ns = _FIRST_RETRY_NS if self._attempts <= _FIRST_RETRIES else _RETRY_NS
         self._initiate_at_ns = now_ns + retry_ns
@@ -362,11 +366,24 @@ class SecureChannel:
 
     def _on_initiation(self, data: bytes, source: Address, now_ns: int) -> None:
         found = self._initiations.read(data, source, now_ns, of_peer=source in self.peers)
-        self.counters.failed_handshakes = self._initiations.failed
-        self.counters.refused_handshakes = self._initiations.refused
-        if found is not None:
+        if found is not None and self._has_just_answered(found[1], source, now_ns):
+            self._initiations.refused += 1
+        elif found is not None:
             responder, hello, key = found
             self._answer(responder, hello, key.name, source, now_ns)
+        self.counters.failed_handshakes = self._initiations.failed
+        self.counters.refused_handshakes = self._initiations.refused
+
+    def _has_just_answered(self, hello: Hello, source: Address, now_ns: int) -> bool:
+        """Whether this is one more of what a link has held, from a peer that has a session with us."""
+        if self._current is None or self._current.hello.identity != hello.identity:
+            return False
+        return any(
+            session.answered_to == source
+            and session.hello.identity == hello.identity
+            and now_ns - session.made_ns < _ONE_ANSWER_NS
+            for session in (*self._answered.values(), *self._sessions)
+        )
 
     def _answer(
         self, responder: Responder, hello: Hello, key_name: str, source: Address, now_ns: int

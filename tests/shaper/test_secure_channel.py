@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import random
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from shaper.frames import HEADER_BYTES
 from shaper.handshake import ANSWER_BYTES, INITIATION_BYTES
 from shaper.notices import NoticeKind
-from shaper.secure_channel import REKEY_AFTER_NS, SecureChannel
+from shaper.secure_channel import REKEY_AFTER_NS, Address, SecureChannel
 from shaper.session import MAX_SEALED, Session
 from tests.shaper.pair import HOUR, MS, S
 from tests.shaper.secured import ADDRESSES, KEY, OTHER_KEY, Host, SecuredPair
@@ -408,6 +409,62 @@ def test_the_link_goes_on_after_a_blackout(blackout_s: int) -> None:
     assert sum(len(d) == INITIATION_BYTES for d in sent) <= blackout_s // 2 + 1
     pair.loses = lambda data, to: False
     pair.advance(3 * S)
+    assert says(pair, pair.robot, b"down") and says(pair, pair.operator, b"up")
+
+
+def test_a_long_silence_is_asked_into_ever_more_seldom_but_every_ten_seconds() -> None:
+    """A link that stands still keeps them all, and serves them before anything new."""
+    pair = met()
+    pair.loses = lambda data, to: True
+    pair.advance(120 * S)
+    asked = [t for t, d, _ in pair.robot.sent if t > 3 * S and len(d) == INITIATION_BYTES]
+    gaps = [(b - a) / S for a, b in pairwise(asked)]
+    assert gaps[0] == pytest.approx(2, abs=0.1) and gaps == sorted(gaps) and max(gaps) < 10.1
+    assert sum(t < 32 * S for t in asked) <= 8
+
+
+def held_initiations(pair: SecuredPair) -> list[bytes]:
+    """The robot's of a long darkness: what a link that held them brings at once, when it is back."""
+    pair.loses = lambda data, to: True
+    pair.advance(40 * S)
+    pair.loses = lambda data, to: False
+    return [d for t, d, _ in pair.robot.sent if t > 3 * S and len(d) == INITIATION_BYTES]
+
+
+def answers_to(pair: SecuredPair, data: bytes, source: Address) -> int:
+    """How many the operator sends."""
+    before = len(pair.operator.sent)
+    pair.operator.link.receive(data, source, pair.now_ns + pair.operator.offset_ns)
+    pair.pump(pair.operator)
+    return sum(len(d) == ANSWER_BYTES and to == source for _, d, to in pair.operator.sent[before:])
+
+
+def test_initiations_that_a_link_has_held_are_answered_once() -> None:
+    pair = met()
+    held = held_initiations(pair)
+    assert len(held) > 5
+    assert [answers_to(pair, data, pair.robot.address) for data in held] == [1] + [0] * (len(held) - 1)
+    assert pair.operator.channel.counters.refused_handshakes == len(held) - 1
+    assert says(pair, pair.robot, b"down") and says(pair, pair.operator, b"up")
+
+
+def test_one_from_elsewhere_or_a_second_later_is_answered_too() -> None:
+    pair = met()
+    here, elsewhere, later = held_initiations(pair)[:3]
+    assert answers_to(pair, here, pair.robot.address) == 1
+    assert answers_to(pair, elsewhere, STRANGER) == 1
+    pair.loses = lambda data, to: True
+    pair.advance(1 * S)
+    assert answers_to(pair, later, pair.robot.address) == 1
+
+
+def test_a_peer_that_has_started_anew_is_answered_at_once_though_its_former_life_just_was() -> None:
+    pair = met()
+    assert answers_to(pair, held_initiations(pair)[0], pair.robot.address) == 1
+    before = len(pair.operator.sent)
+    pair.start(pair.robot)
+    pair.advance(2 * pair.delay_ns)
+    assert any(len(d) == ANSWER_BYTES for _, d, _ in pair.operator.sent[before:])
     assert says(pair, pair.robot, b"down") and says(pair, pair.operator, b"up")
 
 
