@@ -89,7 +89,7 @@ class AdaptiveEstimator:
         self._bands, self._new_band = Bands(), NewBand()
         self._epoch_ns = now_ns  # what leaves from then on meets the present band
         self._settled_from_ns = self._hold_from_ns = now_ns
-        self._probes_left = self._replies_left = 0
+        self._replies_left = 0
         self._empty_ns = now_ns  # when the virtual queue runs or ran empty
         self._rtts = RoundTrips()
         self._rtt_before_ns = 0  # the shortest one when it came to be held
@@ -126,10 +126,12 @@ class AdaptiveEstimator:
         if self._silence.heard_ns < 0:
             return 0
         if self.state is State.RUN:
-            return train_bytes(self.rate_bps, self._noise_ns, self.datagram_bytes) if self._probes_left else 0
+            return train_bytes(self.rate_bps, self._noise_ns, self.datagram_bytes) if self._trains.left else 0
         if self.state is State.PROBE:
+            if not self._trains.left and not self._trains.are_needed(now_ns):
+                return 0
             return train_bytes(self.pacer.rate_bps, self._noise_ns, self.datagram_bytes)
-        return TRAIN_BYTES if self._probes_left else TRICKLE_BYTES
+        return TRAIN_BYTES if self._trains.left else TRICKLE_BYTES
 
     # What happens.
 
@@ -141,16 +143,15 @@ class AdaptiveEstimator:
         idle_ns = now_ns - self._empty_ns
         wait_ns = pacer.wait_ns(now_ns)
         self._empty_ns = now_ns + wait_ns
-        in_train = self._probes_left > 0 and now_ns >= pacer.free_from_ns
-        self._probes_left -= in_train
-        if in_train:
-            self._trains.on_left(packet.number)
+        of_train = self._trains.on_sent(packet.number, pacer, now_ns)
         if self.state is State.PROBE:
-            self._pace_trains(in_train, now_ns)
+            nothing_known = self._known_bps is None and not self._hinted
+            self._trains.pace(of_train, self._empty_ns, nothing_known, pacer, now_ns)
         elif self.state is State.HOLD:
             held_ns, rate_bps = now_ns - self._hold_from_ns, self._known_bps or START_BPS
             carried = packet.wire_bytes > TRICKLE_BYTES and self._silent
-            pace_trickle(pacer, held_ns, rate_bps, now_ns, in_train=self._probes_left > 0, carried=carried)
+            rtt_ns, in_train = self._rtt_before_ns, self._trains.left > 0
+            pace_trickle(pacer, held_ns, rate_bps, rtt_ns, now_ns, in_train=in_train, carried=carried)
         elif self.state is State.RUN and self._ideas.verify:
             self._baseline.make_pauses(pacer, self._empty_ns, idle_ns, self._apparent_delay_ns, now_ns)
 
@@ -203,6 +204,7 @@ class AdaptiveEstimator:
                 self._begin_probing(now_ns)
                 if self._ideas.standstill:
                     self._standstill.end(packet, silence_ns, self._silence.later_ns, noise_ns, now_ns)
+                    self.pacer.free_from_ns = now_ns + self._standstill.patience_ns
         elif self.state is State.RUN:
             if quicker and self._ideas.quicker:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
@@ -233,7 +235,7 @@ class AdaptiveEstimator:
         if self.state is State.HOLD:
             return self.pacer.opens_ns()
         if self.state is State.PROBE:
-            return min(self._silence_ns(), self.pacer.opens_ns())
+            return min(self._silence_ns(), self._trains.next_at_ns(self.pacer.opens_ns()))
         return self._silence_ns() if self._ideas.silence else None
 
     def on_timer(self, now_ns: int) -> None:
@@ -266,7 +268,7 @@ class AdaptiveEstimator:
             self._enter(Input.HEARD, now_ns)
             self._begin_probing(now_ns)
         elif self.state is State.PROBE and self._trains.are_all_reported(arrived[-1].number):
-            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS  # they told nothing, and fill nothing
+            self._trains.begin(self.pacer)  # they told nothing, and fill nothing
             self.pacer.not_before_ns = now_ns
 
     def _measure(self) -> tuple[float | None, bool]:
@@ -306,12 +308,12 @@ class AdaptiveEstimator:
         cautious_bps = self._bands.cautious_bps(known_bps, seen=self._ideas.bands)
         if self._silent and self._silence.as_ever:  # a blackout, more likely than another band
             cautious_bps = known_bps / SAME_CAUTION
-            self._trains.interval_ns = 0
+            self._trains.need_no_more()
         first = self._flights.first_since(self._epoch_ns)
         queue_ns = 0 if first is None else self._flights.simulate(cautious_bps, first, 0, now_ns)
         self.pacer.set(_whole(cautious_bps), queue_ns, now_ns, _whole(known_bps))
         self.pacer.not_before_ns = now_ns
-        self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
+        self._trains.begin(self.pacer)
         self._replies_left = REPLIES
         self._trains.await_answer(self._rtts.newest_ns, now_ns)
 
@@ -321,20 +323,11 @@ class AdaptiveEstimator:
         served_ns = now_ns - self._standstill.ended_ns + self._rtt_before_ns // 2
         held_ns = int(self._flights.bits_since(self._epoch_ns) * 1e9 / cautious_bps)
         left_ns = max(0, held_ns - served_ns)
-        self._trains.interval_ns = self._probes_left = self.pacer.free = 0
+        self._trains.stop(self.pacer)
+        self._trains.need_no_more()
         self.pacer.set(_whole(cautious_bps), left_ns, now_ns)
         self.pacer.not_before_ns = now_ns
         self._empty_ns = now_ns + left_ns
-
-    def _pace_trains(self, in_train: bool, now_ns: int) -> None:
-        """Trains leave whole, and one after the other has been served at the cautious rate."""
-        if not in_train and now_ns >= self.pacer.not_before_ns:
-            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS - 1
-        elif in_train and self._probes_left == 0:
-            self.pacer.pause(self._empty_ns + self._trains.interval_ns)
-            nothing_known = self._known_bps is None and not self._hinted
-            if nothing_known or self._trains.is_overdue(now_ns):  # wait for an answer, ever longer
-                self._trains.wait_longer()
 
     def _hold(self, why: Input, since_ns: int, now_ns: int) -> None:
         """Send no more than a trickle. since_ns: when the link may have changed."""
@@ -347,7 +340,7 @@ class AdaptiveEstimator:
         self._silence.deadline_ns = _NEVER_NS
         left = self._flights.count_since(self._epoch_ns)
         if left < TRAIN_DATAGRAMS or (self._known_bps or 0.0) > LIGHT_BPS:
-            self._probes_left = self.pacer.free = TRAIN_DATAGRAMS
+            self._trains.begin(self.pacer)
             self.pacer.free_from_ns = now_ns + (ROOM_NS if self.loss_ratio < LITTLE_LOSS else 0)
         self.pacer.allowance_ns = _NEVER_NS
         self.pacer.not_before_ns = now_ns
@@ -465,7 +458,7 @@ class AdaptiveEstimator:
             self.pacer.not_before_ns, self._rtts.newest_ns, self._noise_ns, now_ns
         )
         if length:
-            self._probes_left = self.pacer.free = length
+            self._trains.begin(self.pacer, length)
 
     @property
     def _noise_ns(self) -> float:
@@ -482,7 +475,7 @@ class AdaptiveEstimator:
     def _enter(self, happened: Input, now_ns: int) -> None:
         self.state = follow(self.state, happened)
         self.in_flight_limit_bytes = 0 if self.state is State.HOLD else _NO_LIMIT_BYTES
-        self._probes_left = self.pacer.free = self.pacer.free_from_ns = 0
+        self._trains.stop(self.pacer)
         self.pacer.urgent_from_ns = now_ns
         self.pacer.allowance_ns = ALLOWANCE_NS + int(ALLOWANCE_NOISE * self._noise_ns)
 

@@ -14,6 +14,7 @@ STANDSTILL_NS = 1_000_000_000  # a silence at least so long ...
 _LATE_SHARE = 0.8  # ... that ends with what is late by this share of it: it was in the link all the time
 _LEAST_PAIRS, _LEAST_NS = 6, 20_000_000  # spacing over so many datagrams and so long tells ...
 _NOISE_FACTOR = 10.0  # ... if it is longer than so many sigma of arrivals
+_PATIENCE = 2  # times that: until then it should have
 _SAME_RATIO = 1.25
 
 
@@ -37,6 +38,11 @@ class Standstill:
         self._number, self._last_ns, self.ended_ns = packet.number, now_ns, now_ns
         self._bits = self._pairs = self._spread_ns = 0
         self._least_ns = _LEAST_NS + int(_NOISE_FACTOR * noise_ns)
+
+    @property
+    def patience_ns(self) -> int:
+        """For how long what the link holds may tell its rate, so that no train needs to."""
+        return _PATIENCE * self._least_ns if self._watching else 0
 
     def is_as_before(self, packet: HeardPacket, now_ns: int) -> bool:
         """Whether the way back is known now to carry what it did; told once."""

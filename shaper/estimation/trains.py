@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from shaper.estimation.round_trips import RoundTrips
+from shaper.estimation.virtual_queue import VirtualQueue
 
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
@@ -16,14 +17,69 @@ DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become qui
 
 
 class Trains:
-    """interval_ns: between those that search for the rate. In run they leave only while it is in doubt."""
+    """interval_ns: between those that search for the rate. In run they leave only while it is in doubt.
 
-    __slots__ = ("_answer_by_ns", "_doubt_until_ns", "_last_number", "_sent_ns", "interval_ns")
+    left: how many datagrams of the present one have not left yet.
+    """
+
+    __slots__ = (
+        "_answer_by_ns",
+        "_doubt_until_ns",
+        "_enough",
+        "_last_number",
+        "_sent_ns",
+        "interval_ns",
+        "left",
+    )
 
     def __init__(self, now_ns: int, *, hinted: bool) -> None:
+        self.left = 0
+        self._enough = False
         self.interval_ns = TRAIN_INTERVAL_NS if hinted else START_INTERVAL_NS
         self._last_number = -1  # of the newest datagram of a train
         self._sent_ns = self._doubt_until_ns = self._answer_by_ns = now_ns
+
+    def begin(self, pacer: VirtualQueue, datagrams: int = TRAIN_DATAGRAMS) -> None:
+        """The next ones to leave are a train."""
+        self.left = pacer.free = datagrams
+
+    def stop(self, pacer: VirtualQueue) -> None:
+        """There is none any more."""
+        self.left = pacer.free = pacer.free_from_ns = 0
+        self._enough = False
+
+    def need_no_more(self) -> None:
+        """The link is taken for what it was: what leaves after this train tells its rate as well."""
+        self.interval_ns, self._enough = 0, True
+
+    def are_needed(self, now_ns: int) -> bool:
+        """Whether another one is to follow."""
+        return not self._enough or self.is_overdue(now_ns)
+
+    def next_at_ns(self, opens_ns: int) -> int:
+        """When the next datagram of a train leaves, if the pacer opens then."""
+        return max(opens_ns, self._answer_by_ns + 1) if self._enough and not self.left else opens_ns
+
+    def on_sent(self, number: int, pacer: VirtualQueue, now_ns: int) -> bool:
+        """A datagram has left; whether it was of a train."""
+        of_train = self.left > 0 and now_ns >= pacer.free_from_ns
+        if of_train:
+            self.left -= 1
+            self._last_number = number
+        return of_train
+
+    def pace(
+        self, of_train: bool, empty_ns: int, nothing_known: bool, pacer: VirtualQueue, now_ns: int
+    ) -> None:
+        """They leave whole, and one after the other has been served at the cautious rate, at empty_ns."""
+        if not self.are_needed(now_ns):
+            return
+        if not of_train and now_ns >= pacer.not_before_ns:
+            self.begin(pacer, TRAIN_DATAGRAMS - 1)
+        elif of_train and self.left == 0:
+            pacer.pause(empty_ns + self.interval_ns)
+            if nothing_known or self.is_overdue(now_ns):  # wait for an answer, ever longer
+                self.wait_longer()
 
     def wait_longer(self) -> None:
         """No answer has come yet."""
@@ -38,10 +94,6 @@ class Trains:
         if nothing_known or self.is_overdue(now_ns):
             self.interval_ns = max(TRAIN_INTERVAL_NS, rtts.shortest_ns // 2)
         self.await_answer(rtts.newest_ns, now_ns)
-
-    def on_left(self, number: int) -> None:
-        """A train's datagram has left."""
-        self._last_number = number
 
     def are_all_reported(self, number: int) -> bool:
         """Whether none is on its way any more, by the newest reported number; told once."""

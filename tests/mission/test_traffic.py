@@ -15,7 +15,7 @@ from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 from tests.mission.scenarios import S, TraceLog, band, both_ways, settings, with_faults
 from tests.mission.test_trials import accounted
 
-FAST, THIN = (1_000_000, 50), (100_000, 500)  # bit/s, ms one way
+FAST, THIN, MIDDLE = (1_000_000, 50), (100_000, 500), (300_000, 200)  # bit/s, ms one way
 MESSY = {"duplicate_ratio": 0.01, "jitter_ns": 5_000_000, "reorder": True}
 RELIABLE = ("robot/plan", "operator/command", "operator/plan")
 
@@ -144,7 +144,7 @@ def dark_flight(rate_bps: int, delay_ms: int, held: bool, seed: int = 1) -> Flig
     return Flight(blackout(rate_bps, delay_ms, held), 60, seed)
 
 
-@pytest.mark.parametrize("link", [FAST, THIN], ids=["fast", "thin"])
+@pytest.mark.parametrize("link", [FAST, THIN, MIDDLE], ids=["fast", "thin", "middle"])
 @pytest.mark.parametrize(("held", "seed"), [(False, 1), (False, 2), (True, 1), (True, 2)])
 def test_twenty_plans_of_a_blackout_arrive_once_in_order_and_within_three_round_trips(
     link: tuple[int, int], held: bool, seed: int

@@ -20,6 +20,13 @@ from shaper.estimation.silence import Silence
 from shaper.estimation.standstill import Standstill
 from shaper.estimation.states import TRANSITIONS, Input, State, follow, mermaid
 from shaper.estimation.trains import Trains
+from shaper.estimation.trickle import (
+    LONGEST_TRICKLE_NS,
+    TRICKLE_BYTES,
+    TRICKLE_SHARE,
+    trickle_ns,
+    urgent_trickle_ns,
+)
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.link_estimator import PresetBand
 from shaper.path import HeardPacket, SentPacket
@@ -218,9 +225,52 @@ def test_a_rate_that_drifts_far_either_way_is_in_doubt() -> None:
 def test_trains_are_told_of_once_when_none_is_on_its_way() -> None:
     trains = Trains(0, hinted=False)
     assert not trains.are_all_reported(99)
+    queue = VirtualQueue(100_000, 4 * MS, 0)
+    trains.begin(queue)
     for number in (5, 6, 7):
-        trains.on_left(number)
+        assert trains.on_sent(number, queue, 0)
+    assert not trains.on_sent(8, queue, 0)
     assert [trains.are_all_reported(number) for number in (4, 6, 7, 8)] == [False, False, True, False]
+
+
+def test_a_link_taken_for_what_it_was_gets_one_train_and_another_only_if_that_is_not_reported() -> None:
+    trains, queue = Trains(0, hinted=True), VirtualQueue(100_000, 4 * MS, 0)
+    trains.await_answer(100 * MS, 0)
+    trains.begin(queue)
+    trains.need_no_more()
+    assert trains.next_at_ns(5 * MS) == 5 * MS, "of this one the rest is to leave"
+    for number in range(3):
+        trains.pace(trains.on_sent(number, queue, 0), 40 * MS, False, queue, 0)
+    trains.pace(trains.on_sent(3, queue, 50 * MS), 90 * MS, False, queue, 50 * MS)
+    assert trains.left == 0 and queue.not_before_ns == 0, "nothing is held back to keep trains whole"
+    assert not trains.are_needed(1 * S) and trains.next_at_ns(60 * MS) > 1_200 * MS
+    assert trains.are_needed(trains.next_at_ns(60 * MS))
+    trains.stop(queue)
+    assert trains.are_needed(1 * S)
+
+
+@given(
+    st.integers(10_000, 50_000_000), st.integers(2 * MS, 2 * S), st.integers(0, 3600 * S), st.integers(0, S)
+)
+def test_a_trickle_is_small_against_the_link_soon_and_ever_slower(
+    rate_bps: int, rtt_ns: int, held_ns: int, later_ns: int
+) -> None:
+    interval_ns = trickle_ns(held_ns, rate_bps, rtt_ns)
+    assert interval_ns <= trickle_ns(held_ns + later_ns, rate_bps, rtt_ns) <= LONGEST_TRICKLE_NS
+    share = TRICKLE_BYTES * 8 * S / interval_ns / rate_bps
+    assert share <= 1.001 * TRICKLE_SHARE or interval_ns == LONGEST_TRICKLE_NS
+    assert interval_ns <= max(150 * MS, TRICKLE_BYTES * 8 * S / (TRICKLE_SHARE * rate_bps))
+    if rate_bps > 2_000_000 and rtt_ns >= 20 * MS and held_ns < 30 * S:
+        assert interval_ns <= 2 * rtt_ns, "the end of a blackout is noticed within two round trips"
+
+
+def test_heartbeats_go_on_while_a_band_may_just_have_changed_and_become_rare_soon_after() -> None:
+    def gap_ms(held_ms: int, rtt_ms: int) -> float:
+        return urgent_trickle_ns(held_ms * MS, 100_000, rtt_ms * MS) / MS
+
+    assert gap_ms(700, 100) < 100 and gap_ms(1_000, 1_000) <= 125
+    assert gap_ms(2_000, 100) == 1_000 and gap_ms(2_000, 1_000) == 500
+    assert gap_ms(30_000, 100) == 4 * trickle_ns(30 * S, 100_000, 100 * MS) / MS
 
 
 def test_a_train_that_waits_for_room_lets_what_must_pass_go_before_it() -> None:
@@ -333,6 +383,15 @@ def heard_after(
 def test_what_a_link_has_held_tells_whether_the_way_back_is_as_before(rate_bps: int, as_before: bool) -> None:
     said = heard_after(30 * S, 29 * S, rate_bps, 100_000, range(7, 47))
     assert said.count(True) == as_before
+
+
+def test_only_while_what_was_held_may_tell_the_rate_no_train_has_to() -> None:
+    standstill = Standstill()
+    assert standstill.patience_ns == 0
+    standstill.end(HeardPacket(6, 0, 125, peer_bps=1_000_000), 30 * S, 29 * S, 1e6, 31 * S)
+    assert standstill.patience_ns == 2 * (20 + 10) * MS
+    standstill.end(HeardPacket(6, 0, 125, peer_bps=1_000_000), 30 * S, 0, 1e6, 31 * S)
+    assert standstill.patience_ns == 0, "the link has dropped what it held"
 
 
 def test_that_is_known_after_six_datagrams_in_a_row_whatever_is_lost_between() -> None:
