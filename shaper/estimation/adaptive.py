@@ -205,6 +205,10 @@ class AdaptiveEstimator:
                 if self._ideas.standstill:
                     self._standstill.end(packet, silence_ns, self._silence.later_ns, noise_ns, now_ns)
                     self.pacer.free_from_ns = now_ns + self._standstill.patience_ns
+        elif late and self._was_silent():
+            self._hold(Input.SILENCE, self._changed_before_ns(now_ns - silence_ns), now_ns)
+            self._enter(Input.HEARD, now_ns)
+            self._begin_probing(now_ns)
         elif self.state is State.RUN:
             if quicker and self._ideas.quicker:
                 self._trains.doubt(self._rtts.shortest_ns, now_ns)
@@ -220,6 +224,11 @@ class AdaptiveEstimator:
         elif now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
             self._replies_left -= 1  # the peer waits to be told of its trains
             self.pacer.free = max(1, self.pacer.free)
+
+    def _was_silent(self) -> bool:
+        """What comes late would have been missed, were it not that loss may have taken it."""
+        known = self.state is State.RUN and self._baseline.delay_ns is not None
+        return known and self._silence.misses > 1 and self._ideas.silence
 
     def on_peer_restarted(self, now_ns: int) -> None:
         """Its clock is another; the link is not."""

@@ -138,6 +138,16 @@ def test_a_thin_link_that_was_dark_is_used_as_before_once_the_peer_is_heard(seed
     assert bits > 0.85 * 50_000, "a report could say so at 31.2 s"
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_datagram_of_the_peers_that_is_late_is_news_though_loss_may_have_taken_it(seed: int) -> None:
+    """The way back takes 150 ms longer; with loss so short a silence is none, and 4.6 s of queue gathered."""
+    down = both_ways(band(20, 340_000, 480, loss_ratio=0.05), band(20, 60_000, 200, loss_ratio=0.05))
+    up = both_ways(band(20, 64_000, 240, loss_ratio=0.05), band(20, 550_000, 390, loss_ratio=0.05))
+    mission = settings(replace(down, up=up.up), "backlogged", 39, seed)
+    result = run_mission(replace(mission, estimator=adaptive))["link"]
+    assert result["down"]["queue_delay_max_ms"] < 2_500
+
+
 def test_a_link_that_has_held_its_queue_and_comes_back_thinner_is_not_filled() -> None:
     """A second and a half of the old rate would fill its buffer."""
     thinner = steps((20, 1_000_000, 50), (10, 0, 50), (60, 100_000, 500))
