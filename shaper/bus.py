@@ -120,9 +120,12 @@ class BusInlet:
             for index, expression in enumerate(distinct)
         ]
 
-    def take(self) -> list[BusSample]:
-        """The samples that have gathered, oldest first among those that all count."""
-        self._announced = False
+    def take(self, *, look_again: bool = False) -> list[BusSample]:
+        """The samples that have gathered, oldest first among those that all count.
+
+        look_again: the caller will do so by itself, and is not told of more until it takes without this.
+        """
+        self._announced = look_again
         with self._lock:
             newest, self._newest = self._newest, {}
         samples = []

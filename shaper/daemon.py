@@ -160,12 +160,20 @@ class Daemon:
             self._loop.call_at(self._gathered_at_s + _GATHER_S, self._on_samples)
 
     def _on_samples(self) -> None:
-        self._gathering = False
-        self._gathered_at_s = self._loop.time()
+        """Take what has gathered; while they come one after the other, look again without being told."""
+        now_s = self._loop.time()
+        busy = now_s - self._gathered_at_s < 2 * _GATHER_S
+        self._gathered_at_s = now_s
+        samples = self._inlet.take(look_again=busy)
+        self._gathering = busy and len(samples) > 0
+        if self._gathering:
+            self._loop.call_at(now_s + _GATHER_S, self._on_samples)
+        elif busy:
+            samples = self._inlet.take()  # from now on we are told; what came just before is here
         now_ns = time.monotonic_ns()
         unix_minus_monotonic_ns = time.time_ns() - now_ns
         more = False
-        for sample in self._inlet.take():
+        for sample in samples:
             stamp = decode_stamp(sample.attachment) if sample.attachment else None
             capture_ns = _capture_ns(stamp, sample.received_ns, unix_minus_monotonic_ns)
             if self._carousel.offer(sample, capture_ns, unix_minus_monotonic_ns):
