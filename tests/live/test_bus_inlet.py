@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import pytest
@@ -46,3 +47,30 @@ def test_whoever_looks_again_is_not_told_and_misses_nothing_when_that_ends() -> 
         inlet.close()
         robot.close()
         shaper.close()
+
+
+def test_samples_and_answers_start_no_threads_of_python() -> None:
+    endpoint = free_addresses().robot_bus
+    shaper = open_bus(BusSettings(listen=[endpoint]))
+    robot = open_bus(BusSettings(connect=[endpoint]))
+    with robot.declare_queryable("robot/view", lambda query: query.reply("robot/view", b"view")):
+        before = threading.enumerate()
+        inlet = BusInlet(shaper, ["robot/**"], lambda key: True, lambda: None, time.monotonic_ns)
+        try:
+            publisher = robot.declare_publisher("robot/state")
+            wait_until(lambda: bool(publisher.matching_status.matching))
+            publisher.put(b"state")
+            taken: dict[str, bytes] = {}
+
+            def look() -> bool:
+                inlet.ask("robot/view", 1000)
+                taken.update({sample.key: sample.payload.to_bytes() for sample in inlet.take()})
+                assert set(threading.enumerate()) <= set(before)
+                return len(taken) == 2
+
+            wait_until(look)
+            assert taken == {"robot/state": b"state", "robot/view": b"view"}
+        finally:
+            inlet.close()
+            robot.close()
+            shaper.close()
