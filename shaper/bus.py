@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import zenoh
 from zenoh.handlers import Callback
@@ -79,8 +79,7 @@ def open_bus(settings: BusSettings) -> zenoh.Session:
         raise BusError(f"cannot open the Zenoh bus ({where}): {reason}") from error
 
 
-@dataclass(frozen=True, slots=True)
-class BusSample:
+class BusSample(NamedTuple):
     """What a local publisher put. payload: not copied yet. missed: samples of the key that it replaced."""
 
     key: str
@@ -193,8 +192,7 @@ class BusInlet:
             self._on_samples()
 
 
-@dataclass(frozen=True, slots=True)
-class _Put:
+class _Put(NamedTuple):
     """Something for the bus. payload: None to delete what is there."""
 
     key: str

@@ -49,6 +49,7 @@ _BUS_RETRY_S = 1.0
 _SILENCE_NS = 5 * _NS_PER_S  # after which a person should know
 _HAND_OVER_S = 0.005
 _LISTENERS_S = 5.0  # after the bus is up: Zenoh tries to connect again every four seconds at most
+_FILTER_NS = 10_000_000  # a flood that begins costs a hundred datagrams of it in the meantime
 _GATHER_S = 0.005  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
@@ -73,6 +74,7 @@ class Daemon:
         self._outlet: BusOutlet | None = None
         self._listeners_until_s = 0.0  # until then what must not be lost waits for somebody to listen
         self._admission = Admission()
+        self._filter_again_ns = self._filtered_numbers = 0
         self._gates = FloodGates(0)
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
@@ -209,10 +211,13 @@ class Daemon:
         self._timer = self._loop.call_at(when_s, self._on_timer)
 
     def _filter_strangers(self, now_ns: int) -> None:
-        """Tell the kernel which session numbers are ours, and how much of a flood, whenever that changes."""
-        if not self._door.keys:
-            return
+        """Tell the kernel which session numbers are ours, at once, and how much of a flood may pass."""
         channel = self._link.channel
+        if not self._door.keys or (
+            now_ns < self._filter_again_ns and channel.numbers_drawn == self._filtered_numbers
+        ):
+            return
+        self._filter_again_ns, self._filtered_numbers = now_ns + _FILTER_NS, channel.numbers_drawn
         admission = Admission(
             tuple(channel.session_ids()),
             tuple(key.id for key in self._door.keys) if channel.ready else (),

@@ -160,6 +160,8 @@ class Endpoint:
 
     def next_datagram(self, now_ns: int) -> bytes | None:
         """The next datagram that may leave now, or None."""
+        if self._is_shut(now_ns):
+            return None
         estimator, pacer = self._estimator, self._estimator.pacer
         trickle_ns, opens_ns = self._trickle_at_ns(), pacer.next_send_at_ns(now_ns)
         gated = now_ns < max(opens_ns, trickle_ns)
@@ -209,15 +211,16 @@ class Endpoint:
 
     def wakeup_at_ns(self, now_ns: int) -> int:
         """When something falls due or may leave, if nothing happens before."""
-        wakeup_ns = self._timers.beat_at_ns
-        for at_ns in (self._report_due_ns(), self._probe_at_ns()):
-            if at_ns is not None and at_ns < wakeup_ns:
-                wakeup_ns = at_ns
         scheduler, pacer, trickle_ns = self._outgoing.scheduler, self._estimator.pacer, self._trickle_at_ns()
-        urgent_ns = pacer.urgent_at_ns(now_ns)
-        if scheduler.next_queue(only_always_send=self.holding) is not None:
-            wakeup_ns = min(wakeup_ns, urgent_ns)
-        wakeup_ns = max(wakeup_ns, pacer.next_send_at_ns(now_ns), trickle_ns)
+        opens_ns, urgent_ns = pacer.next_send_at_ns(now_ns), pacer.urgent_at_ns(now_ns)
+        wakeup_ns = opens_ns
+        waits = scheduler.next_queue(only_always_send=self.holding) is not None
+        if not waits or urgent_ns > opens_ns:  # else whatever is due leaves with what waits
+            wakeup_ns = min(self._timers.beat_at_ns, urgent_ns) if waits else self._timers.beat_at_ns
+            for at_ns in (self._report_due_ns(), self._probe_at_ns()):
+                if at_ns is not None and at_ns < wakeup_ns:
+                    wakeup_ns = at_ns
+        wakeup_ns = max(wakeup_ns, opens_ns, trickle_ns)
         if scheduler.next_queue(only_always_send=True) is not None:
             wakeup_ns = max(min(wakeup_ns, max(urgent_ns, trickle_ns)), now_ns + 1)
         promised_ns = self._timers.promised_until_ns
@@ -298,6 +301,16 @@ class Endpoint:
         return link_state(self._estimator, self._path, self._control.estimates.theirs, holding=self.holding)
 
     # Sending.
+
+    def _is_shut(self, now_ns: int) -> bool:
+        """Whether nothing at all may leave: mostly so, when something has come between two datagrams."""
+        pacer = self._estimator.pacer
+        return (
+            now_ns < pacer.next_send_at_ns(now_ns)
+            and now_ns < pacer.urgent_at_ns(now_ns)
+            and now_ns < self._timers.promised_until_ns
+            and not self._outgoing.scheduler.has_emergency
+        )
 
     def _what_is_due(self, now_ns: int, *, gated: bool) -> Due:
         """gated: the link has no room; what was promised leaves all the same."""

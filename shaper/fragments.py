@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import insort
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from shaper.errors import DecodeError
 from shaper.parity import decode_shares
@@ -26,8 +27,7 @@ class _Partial:
     held_bytes: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Reassembled:
+class Reassembled(NamedTuple):
     """A complete message. first_sent_us: send stamp of the earliest piece, as the caller gave it."""
 
     data: bytes

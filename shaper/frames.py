@@ -74,8 +74,7 @@ class MessageFrame(NamedTuple):
         return not self.shares_needed and (self.total_bytes < 0 or len(self.data) == self.total_bytes)
 
 
-@dataclass(frozen=True, slots=True)
-class ReportFrame:
+class ReportFrame(NamedTuple):
     """What the receiver met, in its own clock: the raw material of link estimation.
 
     epoch: the epoch of the reported sender; a restarted sender ignores reports on its former self.

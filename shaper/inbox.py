@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from messages.payload import Payload, PayloadError
 from shaper.frames import MESSAGE_NUMBER_BITS, TopicName
@@ -28,8 +29,7 @@ class Budget:
         return self.held_bytes + count <= self.max_bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Arrived:
+class Arrived(NamedTuple):
     """A whole message, with its capture and first send stamp in the peer's clock (us).
 
     topic_id: of the peer's epoch; number: low bits, as on the wire. packed_bytes: as it crossed.

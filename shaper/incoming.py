@@ -235,7 +235,7 @@ class Incoming:
         self._receipts.append((message.topic_id, message.number, Outcome.DELIVERED))
         if state is None:
             return []
-        return _only_delivered(self._deliver(replace(message, payload=state), message.number, now_ns))
+        return _only_delivered(self._deliver(message._replace(payload=state), message.number, now_ns))
 
     def _deliver_reliable(
         self, topic_id: int, inbox: ReliableInbox, messages: list[Arrived], missed: list[int], now_ns: int
@@ -334,7 +334,7 @@ class Incoming:
     def _read_in_stream(self, topic: InTopic, message: Arrived, number: int) -> Arrived:
         max_bytes, capture_unix_ns = self._limits.max_message_bytes, self._capture_unix_ns(message)
         read = topic.reader.read_in_stream(message.payload, number, max_bytes, capture_unix_ns)
-        return replace(message, read=read)
+        return message._replace(read=read)
 
     def _inbox(self, topic: InTopic, kind: type[AnyInbox]) -> AnyInbox:
         """The inbox of a key: message numbers count per key, whatever the encoding."""

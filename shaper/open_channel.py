@@ -18,6 +18,7 @@ class OpenChannel:
     overhead_bytes = 0
     has_control = False
     ready = True
+    numbers_drawn = 0
     peers: tuple[Address, ...] = ()
     peer: Identity | None = None
 

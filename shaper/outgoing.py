@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 from messages.payload import StreamEncoding
 from shaper.datagram import SHARE_OVERHEAD_BYTES, append_message, append_skip, message_overhead_bytes
@@ -33,8 +33,7 @@ _NS_PER_MS = 1_000_000
 _NS_PER_S = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Opportunity:
+class Opportunity(NamedTuple):
     """A datagram that may leave now.
 
     limit_bytes: what it should hold at the link's rate; max_bytes: what it may hold at all. timed: it leaves
@@ -321,7 +320,7 @@ class Outgoing:
         room = opportunity.limit_bytes - len(out) - overhead
         if first and room < _MIN_PART_BYTES:  # on the thinnest links a topic's name needs more than is meant
             room = min(_MIN_PART_BYTES, opportunity.max_bytes - len(out) - overhead)
-        count = piece.count
+        count = piece.length
         if count > room:
             # Splitting a message that would fit the next datagram whole only doubles its chance of loss.
             fits_next = not departure.begun and count + overhead + HEADER_BYTES <= opportunity.limit_bytes

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from messages.payload import Encoded, PayloadError
 from messages.payload import Payload as BusPayload
@@ -73,16 +73,15 @@ class Departure:
         return self.protected.enough(loss_ratio)
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """What a queue would send next: `count` bytes of a message from `offset`.
+class Piece(NamedTuple):
+    """What a queue would send next: `length` bytes of a message from `offset`.
 
     again: not for the first time.
     """
 
     departure: Departure
     offset: int
-    count: int
+    length: int
     again: bool = False
 
 

@@ -113,8 +113,8 @@ class ReliableQueue(TopicQueue):
     def sent(self, piece: Piece, count: int, loss_ratio: float = 0.0) -> Content | None:
         if piece.again:
             self._again.popleft()
-            if count < piece.count:
-                rest = (piece.departure.number, piece.offset + count, piece.count - count)
+            if count < piece.length:
+                rest = (piece.departure.number, piece.offset + count, piece.length - count)
                 self._again.appendleft(rest)
             self.ledger.repeated_bytes += count
         else:

@@ -77,6 +77,11 @@ class Scheduler:
                     return queue
         return None
 
+    @property
+    def has_emergency(self) -> bool:
+        """Whether there may be an emergency stop to send."""
+        return EMERGENCY_TIER in self._tiers
+
     def _owed(self) -> list[_Tier]:
         """Tiers whose guaranteed share is behind."""
         tiers = (self._tiers.get(number) for number in self._guaranteed)

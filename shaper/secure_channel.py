@@ -126,6 +126,7 @@ class SecureChannel:
         self._by_id: dict[int, Session] = {}
         self._to_send: deque[tuple[bytes, Address]] = deque(maxlen=_MAX_ANSWERED)
         self._attempts = 0
+        self.numbers_drawn = 0  # for sessions: under each datagrams may come from then on
         self._initiate_at_ns = now_ns
         self._look_at_ns = now_ns  # not before this; whatever is heard only puts it off
 
@@ -259,6 +260,7 @@ class SecureChannel:
         while True:
             session_id = int.from_bytes(self._random(2), "little")
             if session_id not in self._by_id and session_id not in self._asked:
+                self.numbers_drawn += 1
                 return session_id
 
     # Receiving.

@@ -12,19 +12,13 @@ NS_PER_MS = 1_000_000
 
 TRICKLE_BYTES = 54  # on the wire: large enough to be timed
 TRICKLE_SHARE = 0.015  # at most this share of the rate is taken, as a link may hold the queue ...
-TRICKLE_NS = (
-    20 * NS_PER_MS,
-    100 * NS_PER_MS,
-)  # ... and no more than a datagram per round trip, in these bounds
+TRICKLE_NS = 20 * NS_PER_MS, 100 * NS_PER_MS  # ... and no more than one per round trip, in these bounds
 TRICKLE_SLOWING = 64  # its interval is at least the silence over this ...
 MAX_TRICKLE_NS, MAX_TRICKLE_RTTS = 150 * NS_PER_MS, 2.0  # ... or this, as its end is noticed no sooner ...
 LONG_SLOWING = 640  # ... but by round trips only while a few of them are much of the silence
 LONGEST_TRICKLE_NS = 2_000 * NS_PER_MS
 URGENT_SLOWING = 8  # and that of heartbeats the silence over this ...
-CHANGE_NS, CHANGE_RTTS = (
-    1_000 * NS_PER_MS,
-    1.5,
-)  # ... or all of it beyond what another band takes to answer ...
+CHANGE_NS, CHANGE_RTTS = 1_000 * NS_PER_MS, 1.5  # ... or all beyond what another band takes to answer ...
 URGENT_TRICKLES, LEAST_URGENT_NS = 4, 600 * NS_PER_MS  # ... at most so many of those, or this
 
 

@@ -104,7 +104,7 @@ def test_no_well_formed_datagram_raises_spins_or_grows(
     victim = Victim()
     for epoch, number, stamp_us, frames, gap_ns in datagrams:
         aimed = [
-            replace(f, epoch=OWN_EPOCH, largest=f.largest % 4)
+            f._replace(epoch=OWN_EPOCH, largest=f.largest % 4)
             if isinstance(f, ReportFrame)
             else replace(f, epoch=OWN_EPOCH)
             if isinstance(f, KnownFrame | ReceiptFrame | LedgerFrame)

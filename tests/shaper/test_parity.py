@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import random
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -203,6 +202,6 @@ def test_a_share_cut_for_a_fast_link_leaves_alone_when_it_turns_thin_but_not_in_
     fast = Opportunity(1200, 1200, 1_000_000, loss_ratio=0.1, now_ns=0)
     first, train, alone = bytearray(), bytearray(), bytearray()
     assert outgoing.fill(first, fast)[0] and len(first) > 1000
-    thin = replace(fast, limit_bytes=300, rate_bps=100_000)
-    assert not outgoing.fill(train, replace(thin, timed=True))[0] and not train
+    thin = fast._replace(limit_bytes=300, rate_bps=100_000)
+    assert not outgoing.fill(train, thin._replace(timed=True))[0] and not train
     assert outgoing.fill(alone, thin)[0] and len(alone) > 1000

@@ -1,6 +1,6 @@
 import random
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import pytest
 from hypothesis import given
@@ -239,7 +239,7 @@ def test_the_loss_ratio_is_a_ratio_whatever_the_peer_claims(reports: list[tuple[
     for sent, arrived in reports:
         for _ in range(sent):
             path.on_sent(100, 0)
-        claim = replace(report(path.next_number - 1, 0, 0), arrived=arrived)
+        claim = report(path.next_number - 1, 0, 0)._replace(arrived=arrived)
         path.on_report(claim, peer_us(0), clock, 0)
         assert 0 <= path.loss_ratio <= 1
 
@@ -252,7 +252,7 @@ def test_every_packet_has_one_fate_whatever_the_peer_claims(acts: list[tuple[boo
             fates.append(Fate([]))
             path.on_sent(100, now_ms * MS, (fates[-1],))
             continue
-        claim = replace(report(max(0, len(fates) - 1 - back), now_ms * MS, 0), arrived=arrived)
+        claim = report(max(0, len(fates) - 1 - back), now_ms * MS, 0)._replace(arrived=arrived)
         path.on_report(claim, peer_us(now_ms * MS), clock, now_ms * MS)
         assert all(len(fate.said) <= 1 for fate in fates)
 

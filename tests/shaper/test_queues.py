@@ -24,7 +24,7 @@ def take(queue: TopicQueue, now_ns: int) -> Departure | None:
     piece = queue.next_piece(now_ns)
     if piece is None:
         return None
-    queue.sent(piece, piece.count)
+    queue.sent(piece, piece.length)
     return piece.departure
 
 

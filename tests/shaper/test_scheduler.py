@@ -29,7 +29,7 @@ def serve(scheduler: Scheduler, at_most: int = 1 << 30, **conditions: bool) -> s
         return None
     piece = queue.next_piece(0)
     assert piece is not None
-    count = min(piece.count, at_most)
+    count = min(piece.length, at_most)
     queue.sent(piece, count)
     scheduler.on_sent(queue, count)
     if not queue.message_under_way:
