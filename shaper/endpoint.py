@@ -39,11 +39,10 @@ from shaper.peer_lives import PeerLives
 from shaper.promise import PROMISES_NS
 from shaper.queues import Payload, TopicQueue
 from shaper.settled import Settled
-from shaper.timers import NOTHING_DUE, Due, Timers
+from shaper.timers import Due, Timers
+from shaper.turns import Turns
 
 TOLD_SHARE = 0.02  # a rate that changes by less is told with the next beat
-SHORTLY_NS = 100_000_000  # a pause as short as a heartbeat of 10 Hz can wait for
-_ANY_TIME_NS = -(1 << 62)  # before any clock
 
 
 class Endpoint:
@@ -83,6 +82,7 @@ class Endpoint:
         self._told = False, estimator.rate_bps  # whether it holds, and the rate
         self._events: deque[Event] = deque()
         self._timers = Timers(now_ns)
+        self._turns = Turns(estimator, self._outgoing, self._path, self._timers)
         self._control = ControlFrames(epoch, self._outgoing, self._timers)
         self._outgoing.restore(now_ns)
 
@@ -160,22 +160,10 @@ class Endpoint:
 
     def next_datagram(self, now_ns: int) -> bytes | None:
         """The next datagram that may leave now, or None."""
-        if self._is_shut(now_ns):
+        turn = self._turns.next_turn(now_ns)
+        if turn is None:
             return None
-        estimator, pacer = self._estimator, self._estimator.pacer
-        trickle_ns, opens_ns = self._trickle_at_ns(), pacer.next_send_at_ns(now_ns)
-        gated = now_ns < max(opens_ns, trickle_ns)
-        only_emergency = now_ns < max(pacer.urgent_at_ns(now_ns), trickle_ns)
-        holding = gated or self.holding
-        queue = self._outgoing.scheduler.next_queue(only_always_send=holding, only_emergency=only_emergency)
-        due = self._what_is_due(now_ns, gated=gated)
-        if queue is None and due.anything and opens_ns < now_ns + SHORTLY_NS and not self.holding:
-            # What leaves in a short pause takes along what must pass, which would have to wait for it else.
-            only_emergency = False
-            queue = self._outgoing.scheduler.next_queue(only_always_send=True)
-        probe_bytes = 0 if gated else estimator.probe_bytes(now_ns)
-        if queue is None and not due.anything and not probe_bytes:
-            return None
+        queue, due, holding, only_emergency, probe_bytes = turn
         out = bytearray(HEADER_BYTES)
         said_hello, contents = self._append_control(out, now_ns, due)
         has_messages = False
@@ -185,7 +173,7 @@ class Endpoint:
                 Opportunity(
                     limit_bytes=self._limit_bytes(0 if holding else probe_bytes),
                     max_bytes=self._settings.max_datagram_bytes - self._settings.protection_bytes,
-                    rate_bps=estimator.rate_bps,
+                    rate_bps=self._estimator.rate_bps,
                     loss_ratio=self._path.loss_ratio,
                     now_ns=now_ns,
                     only_always_send=holding,
@@ -211,23 +199,7 @@ class Endpoint:
 
     def wakeup_at_ns(self, now_ns: int) -> int:
         """When something falls due or may leave, if nothing happens before."""
-        scheduler, pacer, trickle_ns = self._outgoing.scheduler, self._estimator.pacer, self._trickle_at_ns()
-        opens_ns, urgent_ns = pacer.next_send_at_ns(now_ns), pacer.urgent_at_ns(now_ns)
-        wakeup_ns = opens_ns
-        waits = scheduler.next_queue(only_always_send=self.holding) is not None
-        if not waits or urgent_ns > opens_ns:  # else whatever is due leaves with what waits
-            wakeup_ns = min(self._timers.beat_at_ns, urgent_ns) if waits else self._timers.beat_at_ns
-            for at_ns in (self._report_due_ns(), self._probe_at_ns()):
-                if at_ns is not None and at_ns < wakeup_ns:
-                    wakeup_ns = at_ns
-        wakeup_ns = max(wakeup_ns, opens_ns, trickle_ns)
-        if scheduler.next_queue(only_always_send=True) is not None:
-            wakeup_ns = max(min(wakeup_ns, max(urgent_ns, trickle_ns)), now_ns + 1)
-        promised_ns = self._timers.promised_until_ns
-        for at_ns in (self._estimator.wakeup_at_ns(), self._outgoing.wants_at_ns(), promised_ns):
-            if at_ns is not None and at_ns < wakeup_ns:
-                wakeup_ns = max(at_ns, now_ns + 1)
-        return wakeup_ns
+        return self._turns.wakeup_at_ns(now_ns)
 
     # What drivers and people look at.
 
@@ -244,7 +216,7 @@ class Endpoint:
     @property
     def holding(self) -> bool:
         """Whether only classes with always_send may leave: no peer heard yet, or enough in flight."""
-        return self._incoming is None or self._path.bytes_in_flight >= self._estimator.in_flight_limit_bytes
+        return self._turns.holding
 
     def budget_bytes(self, queue: TopicQueue, now_ns: int) -> int:
         """What a topic may make per period, by the rate and what higher tiers took of it lately."""
@@ -302,29 +274,6 @@ class Endpoint:
 
     # Sending.
 
-    def _is_shut(self, now_ns: int) -> bool:
-        """Whether nothing at all may leave: mostly so, when something has come between two datagrams."""
-        pacer = self._estimator.pacer
-        return (
-            now_ns < pacer.next_send_at_ns(now_ns)
-            and now_ns < pacer.urgent_at_ns(now_ns)
-            and now_ns < self._timers.promised_until_ns
-            and not self._outgoing.scheduler.has_emergency
-        )
-
-    def _what_is_due(self, now_ns: int, *, gated: bool) -> Due:
-        """gated: the link has no room; what was promised leaves all the same."""
-        promised = now_ns >= self._timers.promised_until_ns
-        if gated:
-            return Due(promised=True) if promised else NOTHING_DUE
-        report_ns, probe_ns = self._report_due_ns(), self._probe_at_ns()
-        return Due(
-            beat=now_ns >= self._timers.beat_at_ns,
-            report=report_ns is not None and report_ns <= now_ns,
-            probe=probe_ns is not None and probe_ns <= now_ns,
-            promised=promised,
-        )
-
     def _append_control(self, out: bytearray, now_ns: int, due: Due) -> tuple[bool, tuple[Content, ...]]:
         """Append what the two ends tell each other beside messages; whether that includes a hello."""
         incoming = self._incoming
@@ -355,43 +304,13 @@ class Endpoint:
         packet = self._path.on_sent(len(out) + self._outer_bytes, now_ns, contents)
         self._estimator.pacer.on_sent(packet.wire_bytes, now_ns)
         self._estimator.on_sent(packet, now_ns)
-        promise = self._promise(now_ns)
+        promise = self._turns.promise_code(now_ns)
         write_header(out, Header(self._epoch, packet.number, now_ns // 1000, elicits_report, promise))
         self.counters.sent_datagrams += 1
         self.counters.sent_wire_bytes += packet.wire_bytes
         if elicits_report:
             self._timers.last_sent_ns = now_ns
         return bytes(out)
-
-    def _trickle_at_ns(self) -> int:
-        if self._incoming is None or self._estimator.trickles:
-            return _ANY_TIME_NS
-        return self._timers.trickle_at_ns(self._estimator.rate_bps)
-
-    def _probe_at_ns(self) -> int | None:
-        if self._incoming is None:
-            return None
-        waits = self._outgoing.scheduler.next_queue() is not None if self.holding else False
-        if not waits and not self._outgoing.awaits_outcomes:
-            return None
-        return self._timers.probe_at_ns(self._path, self._estimator.rate_bps)
-
-    def _promise(self, now_ns: int) -> int:
-        """How soon the next datagram follows, as its code; the timers keep to it."""
-        waits = self._outgoing.scheduler.next_queue(only_always_send=self.holding) is not None
-        backlog_at_ns = self._estimator.pacer.next_send_at_ns(now_ns) if waits else None
-        return self._timers.promise_code(
-            self._incoming, backlog_at_ns, self._report_interval_ns(idle=not waits), now_ns
-        )
-
-    def _report_interval_ns(self, *, idle: bool) -> int:
-        return self._timers.report_interval_ns(self._incoming, self._estimator.rate_bps, idle=idle)
-
-    def _report_due_ns(self) -> int | None:
-        if self._incoming is None or not self._incoming.has_unreported:
-            return None
-        idle = self._outgoing.scheduler.next_queue() is None
-        return self._timers.report_due_ns(self._incoming, self._report_interval_ns(idle=idle))
 
     def _limit_bytes(self, probe_bytes: int) -> int:
         wire_bytes = probe_bytes or self._estimator.datagram_bytes
@@ -448,7 +367,7 @@ class Endpoint:
             self._control.on_peer_restarted()
             self._path.on_peer_restarted()
             self._estimator.on_peer_restarted(now_ns)
-        self._incoming = incoming = self._lives.begin(epoch)
+        self._incoming = self._turns.incoming = incoming = self._lives.begin(epoch)
         self._timers.on_peer_met(now_ns)
         self._events.append(PeerStarted(epoch, again))
         return incoming
