@@ -87,7 +87,7 @@ class LinkTable(_Table):
     side: Literal["robot", "operator"]
     listen: str
     peer: str
-    max_datagram_bytes: Annotated[int, Field(ge=300, le=1472)] = 1200
+    max_datagram_bytes: Annotated[int, Field(ge=300, le=1472)] = 1472
     pace_ratio: Annotated[float, Field(gt=0, le=1)] = 0.95
     estimator: Literal["presets", "adaptive"] = "adaptive"
     bands: list[BandTable] = []

@@ -45,7 +45,8 @@ class LinkEnd:
         self.tables = tables
         self.endpoint = endpoint
         self.channel = channel
-        endpoint.path_mtu.can_probe = channel.has_control
+        if channel.has_control:
+            endpoint.path_mtu.start_probing()
         self.watch = watch
         self._events: deque[Event] = deque()
         self._control: deque[bytes] = deque(maxlen=_MAX_CONTROL)  # of a flood of questions some get no answer
@@ -125,8 +126,9 @@ class LinkEnd:
         due_ns = min(due_ns, self.endpoint.wakeup_at_ns(now_ns))
         if not channel.has_control:
             return due_ns
-        mtu = self.endpoint.path_mtu
-        probe_ns = None if mtu.is_at_ceiling else mtu.wakeup_at_ns(self.endpoint.wanted_bytes)
+        probe_ns = None
+        if self._may_probe_sizes:
+            probe_ns = self.endpoint.path_mtu.wakeup_at_ns(self.endpoint.wanted_bytes)
         ask_ns = None if self.tables is None else self.tables.wakeup_at_ns()
         for at_ns in (probe_ns, ask_ns):
             if at_ns is not None and at_ns < due_ns:
@@ -163,11 +165,15 @@ class LinkEnd:
         question = None if self.tables is None else self.tables.next_question(now_ns)
         if question is not None:
             return question
-        mtu = self.endpoint.path_mtu
-        if mtu.is_at_ceiling:
+        if not self._may_probe_sizes:
             return None
-        probe_bytes = mtu.next_probe(self.endpoint.wanted_bytes, now_ns)
+        probe_bytes = self.endpoint.path_mtu.next_probe(self.endpoint.wanted_bytes, now_ns)
         return None if probe_bytes is None else encode_probe(probe_bytes)
+
+    @property
+    def _may_probe_sizes(self) -> bool:
+        """Not while only a trickle leaves: of a link that is down a probe learns nothing."""
+        return not self.endpoint.path_mtu.is_at_ceiling and not self.endpoint.holding
 
     def _on_control(self, payload: bytes, now_ns: int) -> None:
         """What the peer's channel says; an empty payload only proves that it is there."""

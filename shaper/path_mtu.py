@@ -1,9 +1,10 @@
-"""How large a datagram the path takes: noticed when large ones vanish, and tried again by probes.
+"""How large a datagram the path takes: tried by probes, and noticed when large ones vanish.
 
-Datagrams start at the configured size. If several in a row that were larger than anything that arrived
-meanwhile are lost, while smaller ones do arrive, the path has a smaller MTU than it says (RFC 8899, a
-black hole). Then sizes fall to the floor, and padded probes of the channel's own find the largest that
-passes by halving; later the configured size is tried again.
+Where the channel has probes, datagrams start at what nearly every path takes, and padded probes find the
+largest size up to the configured one that passes, by halving (RFC 8899). If several in a row that were
+larger than anything that arrived meanwhile are lost, while smaller ones do arrive, the path has become a
+black hole for them. Then sizes fall to the floor, and are searched anew; later the configured size is
+tried again. Without probes the configured size is taken at its word.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from shaper.notices import Notice, NoticeKind
 
 FLOOR_BYTES = 548  # IPv4's 576 without headers (RFC 1122, section 3.3.3): every path takes it
+START_BYTES = 1200  # what IPv6's least MTU leaves with room for a tunnel; QUIC's (RFC 9000, section 14.1)
 _SUSPECTS = 6  # that vanish one after the other; at 30 % of random loss one in 1,400 such rows
 _WITNESSES = 2  # smaller ones that arrived meanwhile
 _NS_PER_S = 1_000_000_000
@@ -43,10 +45,11 @@ class PathMtu:
 
     def __init__(self, ceiling_bytes: int) -> None:
         self.size_bytes = ceiling_bytes
-        self.can_probe = False  # else a size that fell would never rise: then it does not fall
+        self.can_probe = False  # a size that fell would never rise: then it does not fall
         self.notices: deque[Notice] = deque(maxlen=8)
         self._ceiling_bytes = ceiling_bytes
         self._floor_bytes = min(FLOOR_BYTES, ceiling_bytes)
+        self._fell = False
         self._suspects: list[int] = []
         self._witnesses = 0
         self._high_bytes = ceiling_bytes  # the largest that is still to be tried
@@ -55,6 +58,12 @@ class PathMtu:
         self._probe_at_ns: int | None = None
         self._wait_ns = 0  # until the next probe, counted from when somebody looks
         self._retry_ns = _RETRY_NS
+
+    def start_probing(self) -> None:
+        """There are probes: nothing larger than what nearly every path takes leaves before one has passed."""
+        self.can_probe = True
+        self.size_bytes = min(START_BYTES, self._ceiling_bytes)
+        self._wait_ns = _FIRST_PROBE_NS
 
     # What is seen of ordinary datagrams.
 
@@ -86,7 +95,7 @@ class PathMtu:
             return
         smallest = min(self._suspects)
         self._suspects, self._witnesses = [], 0
-        self.size_bytes = self._floor_bytes
+        self.size_bytes, self._fell = self._floor_bytes, True
         self._high_bytes = smallest - 1
         self._probe_bytes = self._tries = 0
         self._probe_at_ns, self._wait_ns = None, _FIRST_PROBE_NS
@@ -141,8 +150,10 @@ class PathMtu:
             self._probe_at_ns = now_ns
             if size_bytes >= self._ceiling_bytes:
                 self._retry_ns = _RETRY_NS
-                text = f"datagrams of {size_bytes} bytes pass again"
-                self.notices.append(Notice(NoticeKind.PATH_MTU, text))
+                if self._fell:
+                    text = f"datagrams of {size_bytes} bytes pass again"
+                    self.notices.append(Notice(NoticeKind.PATH_MTU, text))
+                self._fell = False
 
     def wakeup_at_ns(self, wanted_bytes: int) -> int | None:
         """When a probe may be due."""

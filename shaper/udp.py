@@ -21,6 +21,10 @@ _BATCH = 64  # datagrams that are read before the loop looks at anything else
 
 _TIMESTAMP = 35  # Linux's SO_TIMESTAMPNS and SCM_TIMESTAMPNS: the wall clock at which the kernel had it
 _TIMESPEC = struct.Struct("@ll")
+_MTU_DISCOVER = {  # Linux: level, option and value of "never in pieces, whatever is known of the path"
+    socket.AF_INET: (socket.IPPROTO_IP, 10, 3),
+    socket.AF_INET6: (socket.IPPROTO_IPV6, 23, 3),
+}
 _NS_PER_S = 1_000_000_000
 _MAX_WAIT_NS = _NS_PER_S  # a datagram that seems to have waited longer met a step of the wall clock
 
@@ -37,7 +41,8 @@ class UdpLink:
 
     peer: the other side's configured address, resolved. An unreachable peer is no error: the link may be
     down, or the other side not started yet. Where the kernel stamps what arrives (Linux), a busy event
-    loop does not make a datagram look late.
+    loop does not make a datagram look late. There no datagram leaves in pieces either: one that is too
+    large for the path is lost, by which its size is known to be too large (RFC 8899, section 3).
     """
 
     def __init__(self, sock: socket.socket, peer: Address, on_datagrams: Callable[[Datagrams], None]) -> None:
@@ -61,6 +66,7 @@ class UdpLink:
             sock.setblocking(False)
             if sys.platform == "linux":
                 sock.setsockopt(socket.SOL_SOCKET, _TIMESTAMP, 1)
+                sock.setsockopt(*_MTU_DISCOVER[family])
             for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
                 sock.setsockopt(socket.SOL_SOCKET, option, _BUFFER_BYTES)
             bind_to = await loop.getaddrinfo(*listen, family=family, type=socket.SOCK_DGRAM)

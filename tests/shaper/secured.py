@@ -13,6 +13,7 @@ from shaper.agreement import make_table
 from shaper.endpoint import Endpoint
 from shaper.endpoint_settings import EndpointSettings
 from shaper.events import Delivered, Event, Receipt
+from shaper.frames import IP_UDP_BYTES
 from shaper.handshake import Identity, Side
 from shaper.incoming import Limits
 from shaper.journal import Journal, MemoryJournal
@@ -120,7 +121,7 @@ class SecuredPair:
             identity = Identity(host.journal.begin_life(), host.journal.memory, table_hash)
         channel = SecureChannel(host.side, host.keys, identity, peer, self.rng.randbytes, now_ns, unix_ns)
         settings = replace(settings, protection_bytes=channel.overhead_bytes)
-        estimator = PresetBands((FAST,))
+        estimator = PresetBands((FAST,), max_wire_bytes=settings.max_datagram_bytes + IP_UDP_BYTES)
         endpoint = Endpoint(settings, estimator, identity.epoch, now_ns, unix_ns, host.journal)
         lost = self.operator_lost if host is self.robot else None
         host.link = LinkEnd(

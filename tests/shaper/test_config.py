@@ -88,7 +88,7 @@ def test_the_examples_meet_on_no_address_but_loopback() -> None:
 
 def test_what_is_not_given_takes_its_default(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, MINIMAL))
-    assert config.endpoint.max_datagram_bytes == 1200
+    assert config.endpoint.max_datagram_bytes == 1472
     assert config.endpoint.accept == ("**",)
     assert config.endpoint.limits == Limits()
     assert config.pace_ratio == 0.95

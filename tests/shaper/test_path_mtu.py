@@ -1,4 +1,4 @@
-"""Large datagrams that vanish are noticed, sizes fall back, and rise again when the path allows it."""
+"""Sizes rise to what the path takes, fall where large datagrams vanish, and rise again when it allows it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import random
 
 import pytest
 
+from shaper.endpoint_settings import EndpointSettings
 from shaper.notices import NoticeKind
-from shaper.path_mtu import FLOOR_BYTES, PathMtu
-from tests.shaper.pair import MS, S
+from shaper.path_mtu import FLOOR_BYTES, START_BYTES, PathMtu
+from tests.shaper.pair import MS, RULES, S
 from tests.shaper.secured import SecuredPair
 
 
@@ -17,6 +18,61 @@ def send_pictures(pair: SecuredPair, count: int) -> None:
         pair.offer(pair.robot, "robot/plan/a", bytes([i % 256]) * 5000)
         pair.offer(pair.robot, "robot/state/a", b"x")
         pair.advance(500 * MS)
+
+
+def wide_pair() -> SecuredPair:
+    """Both sides may send what an Ethernet frame holds."""
+    settings = EndpointSettings(RULES, max_datagram_bytes=1472)
+    return SecuredPair(tables={"robot": settings, "operator": settings})
+
+
+@pytest.mark.parametrize(
+    ("mtu_bytes", "least_bytes"), [(1500, 1472), (1392, 1368), (1230, 1206), (1200, 1200)]
+)
+def test_datagrams_grow_to_what_the_path_takes(mtu_bytes: int, least_bytes: int) -> None:
+    pair = wide_pair()
+    pair.loses = lambda data, to: len(data) > mtu_bytes
+    pair.advance(400 * MS)
+    send_pictures(pair, 1)
+    assert max(len(data) for _, data, _ in pair.robot.sent) <= START_BYTES, "nothing larger untried"
+    pair.advance(60 * S)
+    send_pictures(pair, 10)
+    mtu = pair.robot.link.endpoint.path_mtu
+    assert least_bytes <= mtu.size_bytes <= mtu_bytes
+    assert mtu.size_bytes - 8 <= max(len(data) for _, data, _ in pair.robot.sent[-60:]) <= mtu.size_bytes
+    assert sum(len(p) == 5000 for p in pair.operator.payloads) == 11
+    assert pair.robot.notices(NoticeKind.PATH_MTU) == [], "a path of its usual size is no news"
+
+
+def test_a_black_hole_is_noticed_after_the_path_had_taken_more() -> None:
+    pair = wide_pair()
+    pair.advance(5 * S)
+    assert pair.robot.link.endpoint.path_mtu.size_bytes == 1472
+    pair.loses = lambda data, to: len(data) > 1300
+    send_pictures(pair, 20)
+    pair.advance(40 * S)
+    assert 1276 <= pair.robot.link.endpoint.path_mtu.size_bytes <= 1300
+    assert sum(len(p) == 5000 for p in pair.operator.payloads) == 20
+    pair.loses = lambda data, to: False
+    pair.advance(200 * S)
+    assert pair.robot.link.endpoint.path_mtu.size_bytes == 1472
+    fell, rose = pair.robot.notices(NoticeKind.PATH_MTU)
+    assert "link.max_datagram_bytes" in fell and rose == "datagrams of 1472 bytes pass again"
+
+
+def test_no_probe_of_a_size_leaves_while_the_link_is_held() -> None:
+    pair = wide_pair()
+    pair.advance(500 * MS)  # the first probe leaves a second after the peer is known
+    pair.loses = lambda data, to: True
+    send_pictures(pair, 20)
+    mtu = pair.robot.link.endpoint.path_mtu
+    assert pair.robot.link.endpoint.holding and mtu.size_bytes == START_BYTES
+    since = len(pair.robot.sent)
+    pair.advance(30 * S)
+    assert max((len(data) for _, data, _ in pair.robot.sent[since:]), default=0) <= START_BYTES
+    pair.loses = lambda data, to: False
+    pair.advance(10 * S)
+    assert mtu.size_bytes == 1472
 
 
 @pytest.mark.parametrize("mtu_bytes", [1100, 900, 600])
