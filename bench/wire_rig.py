@@ -33,10 +33,16 @@ class WireRig:
         folder: Path,
         profile: str = f"constant-1m-{DELAY_MS}ms",
         topics: Mapping[str, Sequence[Mapping[str, object]]] = COMMANDS_AND_BEAT,
+        *,
+        traced: bool = True,
     ) -> None:
-        """topics: tables of `[[topics]]` by side. No side is told what the link carries."""
+        """topics: tables of `[[topics]]` by side. traced: the shapers write traces; the link always does.
+
+        No side is told what the link carries.
+        """
         self.folder = folder
         self._topics = topics
+        self._untraced = () if traced else ("robot", "operator")
         self.addresses = a = free_addresses()
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         write_temporary_key(folder)
@@ -67,16 +73,18 @@ class WireRig:
         trace = self.folder / f"{name}.jsonl"
         before = len(self.records(name))
         arguments = list(self._commands[name])
-        if not name.endswith("-bus"):
+        traced = not name.endswith("-bus") and name not in self._untraced
+        if traced:
             arguments += ["--trace", str(trace)]
         with (self.folder / f"{name}.log").open("ab") as log:
             self._running[name] = subprocess.Popen(
                 [sys.executable, "-m", "straitlink", *arguments], stdout=log, stderr=log
             )
-        if name.endswith("-bus"):
-            wait_until(lambda: b"open" in (self.folder / f"{name}.log").read_bytes())
-        else:
+        if traced:
             wait_until(lambda: len(self.records(name)) > before)
+        else:
+            says = b"open" if name.endswith("-bus") else b"shaper: "
+            wait_until(lambda: says in (self.folder / f"{name}.log").read_bytes())
 
     def start_all(self) -> None:
         """Buses, link, shapers."""
