@@ -71,12 +71,13 @@ class WireRig:
     def start(self, name: str) -> None:
         """Start a process and wait until it says that it is up."""
         trace = self.folder / f"{name}.jsonl"
-        before = len(self.records(name))
+        log_path = self.folder / f"{name}.log"
+        before, said_bytes = len(self.records(name)), log_path.stat().st_size if log_path.exists() else 0
         arguments = list(self._commands[name])
         traced = not name.endswith("-bus") and name not in self._untraced
         if traced:
             arguments += ["--trace", str(trace)]
-        with (self.folder / f"{name}.log").open("ab") as log:
+        with log_path.open("ab") as log:
             self._running[name] = subprocess.Popen(
                 [sys.executable, "-m", "straitlink", *arguments], stdout=log, stderr=log
             )
@@ -84,7 +85,7 @@ class WireRig:
             wait_until(lambda: len(self.records(name)) > before)
         else:
             says = b"open" if name.endswith("-bus") else b"shaper: "
-            wait_until(lambda: says in (self.folder / f"{name}.log").read_bytes())
+            wait_until(lambda: says in log_path.read_bytes()[said_bytes:])
 
     def start_all(self) -> None:
         """Buses, link, shapers."""
