@@ -50,7 +50,6 @@ _SILENCE_NS = 5 * _NS_PER_S  # after which a person should know
 _HAND_OVER_S = 0.005
 _LISTENERS_S = 5.0  # after the bus is up: Zenoh tries to connect again every four seconds at most
 _FILTER_NS = 10_000_000  # a flood that begins costs a hundred datagrams of it in the meantime
-_TICK_NS = 1_000_000  # timers fall on these, late: most of what moves one moves it by less, and costs nothing
 _GATHER_S = 0.005  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
@@ -204,7 +203,7 @@ class Daemon:
         self._seen_ns = now_ns
         wakeup_ns = pump_link(self._link, now_ns, self._send, self._handle)
         self._filter_strangers(now_ns)
-        when_s = -(-wakeup_ns // _TICK_NS) * _TICK_NS / _NS_PER_S
+        when_s = wakeup_ns / _NS_PER_S
         if self._timer is not None:
             if self._timer.when() == when_s:
                 return
