@@ -5,7 +5,8 @@
 Two shapers over the UDP emulator, both directions always backlogged, as the rows of bench.link_estimation
 are in virtual time, by twice what the fastest band carries; the same judge replays what entered the link.
 The processor's share is the robot's shaper's, the whole process with Zenoh's threads. The shapers run as
-a service's do: without a trace, which would cost another 3 %.
+a service's do: without a trace, which would cost another 3 %. A machine that is shared charges us for what
+its other users take of a core's speed, so that is gauged beside it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 
 from bench.link_score import Packet, Score, judge
 from bench.machine import provenance
+from bench.processor_speed import ProcessorSpeed
 from bench.wire_rig import WireRig
 from messages.attachment import Stamp
 from netem_scripts.band import Profile
@@ -43,7 +45,8 @@ class LiveFigures:
     """utilisation by all bytes on the wire. cpu_by_rate: by what the link carries down (bit/s).
 
     wakeups_per_s: of all threads of the shaper. cpu_of_bare_wakeups: what a Python process takes here that
-    wakes up as often, and does nothing.
+    wakes up as often, and does nothing. processor_speed: the mean of the run over its best
+    (bench.processor_speed); cpu_at_best_speed: cpu_of_a_core times that.
     """
 
     profile: str
@@ -57,6 +60,8 @@ class LiveFigures:
     tail_drops: int
     worst_window: float
     cpu_of_a_core: float
+    processor_speed: float
+    cpu_at_best_speed: float
     cpu_by_rate: dict[int, float]
     wakeups_per_s: int
     cpu_of_bare_wakeups: float
@@ -85,13 +90,14 @@ def measure(profile_name: str, minutes: float) -> LiveFigures:
         for thread in threads:
             thread.start()
         began = rig.wakeups("robot"), time.monotonic()
-        cpu = _watch(rig, minutes * 60)
+        with ProcessorSpeed() as speed:
+            cpu = _watch(rig, minutes * 60)
         wakeups_per_s = (rig.wakeups("robot") - began[0]) / (time.monotonic() - began[1])
         bare = _bare_wakeups(wakeups_per_s)  # while the others go on
         stop.set()
         for thread in threads:
             thread.join()
-        return _figures(rig, profile, minutes, cpu, round(wakeups_per_s), bare)
+        return _figures(rig, profile, minutes, cpu, speed.share_of_best, round(wakeups_per_s), bare)
 
 
 def _enough(topic: LoadTopic, profile: Profile) -> LoadTopic:
@@ -139,6 +145,7 @@ def _figures(
     profile: Profile,
     minutes: float,
     cpu: list[tuple[int, float]],
+    processor_speed: float,
     wakeups_per_s: int,
     cpu_of_bare_wakeups: float,
 ) -> LiveFigures:
@@ -153,6 +160,7 @@ def _figures(
     up = judge(profile.up, profile.down, packets["up"], end_ns)
     queue_ms = np.concatenate([down.queue_ns, up.queue_ns]) / 1e6
     rates = [(r["t_ns"], r["rate_bps"]) for r in records if r["event"] == "band" and r["direction"] == "down"]
+    cpu_of_a_core = (cpu[-1][1] - cpu[0][1]) / ((cpu[-1][0] - cpu[0][0]) / 1e9)
     return LiveFigures(
         profile=profile.name,
         minutes=minutes,
@@ -164,7 +172,9 @@ def _figures(
         long_ratio=round(float(np.mean(queue_ms > 100)), 4),
         tail_drops=down.tail_drops + up.tail_drops,
         worst_window=round(min(down.worst_window, up.worst_window), 3),
-        cpu_of_a_core=round((cpu[-1][1] - cpu[0][1]) / ((cpu[-1][0] - cpu[0][0]) / 1e9), 4),
+        cpu_of_a_core=round(cpu_of_a_core, 4),
+        processor_speed=round(processor_speed, 3),
+        cpu_at_best_speed=round(cpu_of_a_core * processor_speed, 4),
         cpu_by_rate=_cpu_by_rate(cpu, rates),
         wakeups_per_s=wakeups_per_s,
         cpu_of_bare_wakeups=cpu_of_bare_wakeups,

@@ -49,7 +49,8 @@ _BUS_RETRY_S = 1.0
 _SILENCE_NS = 5 * _NS_PER_S  # after which a person should know
 _HAND_OVER_S = 0.005
 _LISTENERS_S = 5.0  # after the bus is up: Zenoh tries to connect again every four seconds at most
-_FILTER_NS = 10_000_000  # a flood that begins costs a hundred datagrams of it in the meantime
+_FILTER_NS = 100_000_000  # so often the filter in front of the socket is looked at ...
+_FILTER_UNWANTED = 64  # ... and when so much has come that nobody wants: so begins a flood
 _GATHER_S = 0.005  # adds at most this to an age; the link adds ten times as much
 _OLDEST_CAPTURE_NS = 3600 * _NS_PER_S  # a stamp further from now is not of this run, or of another clock
 _EARLIEST_CAPTURE_NS = -_NS_PER_S
@@ -74,7 +75,7 @@ class Daemon:
         self._outlet: BusOutlet | None = None
         self._listeners_until_s = 0.0  # until then what must not be lost waits for somebody to listen
         self._admission = Admission()
-        self._filter_again_ns = self._filtered_numbers = 0
+        self._filter_again_ns = self._filtered_numbers = self._filtered_unwanted = 0
         self._gates = FloodGates(0)
         self._due_on_bus: deque[Callable[[], bool]] = deque()
         self._delivered: list[Callable[[], None]] = []  # on the bus, as good as certainly
@@ -213,11 +214,15 @@ class Daemon:
     def _filter_strangers(self, now_ns: int) -> None:
         """Tell the kernel which session numbers are ours, at once, and how much of a flood may pass."""
         channel = self._link.channel
+        unwanted = channel.unwanted.total
         if not self._door.keys or (
-            now_ns < self._filter_again_ns and channel.numbers_drawn == self._filtered_numbers
+            now_ns < self._filter_again_ns
+            and channel.numbers_drawn == self._filtered_numbers
+            and unwanted - self._filtered_unwanted < _FILTER_UNWANTED
         ):
             return
-        self._filter_again_ns, self._filtered_numbers = now_ns + _FILTER_NS, channel.numbers_drawn
+        self._filter_again_ns, self._filtered_unwanted = now_ns + _FILTER_NS, unwanted
+        self._filtered_numbers = channel.numbers_drawn
         admission = Admission(
             tuple(channel.session_ids()),
             tuple(key.id for key in self._door.keys) if channel.ready else (),
@@ -232,7 +237,8 @@ class Daemon:
 
     def _send(self, datagram: bytes, address: Address) -> None:
         self._door.udp.send(datagram, address)
-        self._bins.on_sent(len(datagram) + IP_UDP_BYTES, time.monotonic_ns())
+        if self._trace is not None:
+            self._bins.on_sent(len(datagram) + IP_UDP_BYTES, time.monotonic_ns())
 
     def _handle(self, event: Event) -> None:
         if isinstance(event, Delivered):

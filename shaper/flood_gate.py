@@ -31,6 +31,11 @@ class Unwanted:
     initiations: int = 0
     sealed: int = 0
 
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.of_peer + self.initiations + self.sealed
+
 
 class Openings(NamedTuple):
     """Of how many one may pass, by the same kinds."""
