@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from bench.link_controls import DelayGradient, TrialsRule
-from bench.link_informed import informed
+from bench.link_informed import informed, measuring
 from bench.link_rows import ROWS, Row
 from bench.link_score import Score, judge
 from bench.machine import provenance
@@ -39,7 +39,7 @@ from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 OUT = Path("out/bench/link_estimation.json")
 MINUTES = 6.0
 BOUNDS = {"informed": False, "oracle": True}  # told of each change when word of it could have come
-SYNCHRONISED = {"trials rule", *BOUNDS}  # for which both hosts' clocks must show true time
+SYNCHRONISED = {"trials rule", "measuring", *BOUNDS}  # for which both hosts' clocks must show true time
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +96,8 @@ def estimators() -> dict[str, EstimatorFactory]:
 def _factory(name: str, profile: Profile, duration_ns: int) -> EstimatorFactory:
     if name in BOUNDS:
         return informed(profile, duration_ns, guesses=BOUNDS[name])
+    if name == "measuring":
+        return measuring(profile, duration_ns)
     return estimators()[name]
 
 
@@ -268,14 +270,19 @@ def main() -> None:
     parser.add_argument("--ablation", action="store_true", help="ours, with each idea off in turn")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    known = [*estimators(), *BOUNDS]
+    known = [*estimators(), "measuring", *BOUNDS]
     for name in arguments.estimators or []:
         if name not in known:
             parser.error(f"--estimators {name}: expected of {', '.join(known)}")
     names = arguments.estimators or ["adaptive", "informed", "presets", "trials rule", "gradient"]
     if arguments.ablation:
         names = ["adaptive", *(name for name in estimators() if name.startswith("adaptive-"))]
-    pairs = [(row, name) for name in names for row in arguments.rows if name not in BOUNDS or _is_lit(row)]
+    pairs = [
+        (row, name)
+        for name in names
+        for row in arguments.rows
+        if name not in SYNCHRONISED or name == "trials rule" or _is_lit(row)
+    ]
     jobs = [(row, name, seed, arguments.minutes) for row, name in pairs for seed in arguments.seeds]
     figures = run(jobs, arguments.processes)
     rows = []

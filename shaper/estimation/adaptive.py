@@ -205,8 +205,9 @@ class AdaptiveEstimator:
                 if self._ideas.standstill:
                     self._standstill.end(packet, silence_ns, self._silence.later_ns, noise_ns, now_ns)
                     self.pacer.free_from_ns = now_ns + self._standstill.patience_ns
-        elif late and self._was_silent():
-            self._hold(Input.SILENCE, self._changed_before_ns(now_ns - silence_ns), now_ns)
+        elif (late and self._was_silent()) or self._is_another_way_back():
+            why = Input.SILENCE if late else Input.QUICKENED
+            self._hold(why, self._changed_before_ns(now_ns - silence_ns), now_ns)
             self._enter(Input.HEARD, now_ns)
             self._begin_probing(now_ns)
         elif self.state is State.RUN:
@@ -224,6 +225,11 @@ class AdaptiveEstimator:
         elif now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
             self._replies_left -= 1  # the peer waits to be told of its trains
             self.pacer.free = max(1, self.pacer.free)
+
+    def _is_another_way_back(self) -> bool:
+        """A way back that is suddenly shorter is another band's, which may carry less in our direction."""
+        known = self.state is State.RUN and self._baseline.delay_ns is not None
+        return known and self._silence.quickened and self._ideas.quickened
 
     def _was_silent(self) -> bool:
         """What comes late would have been missed, were it not that loss may have taken it."""
@@ -345,7 +351,7 @@ class AdaptiveEstimator:
         self._new_band.restart()
         self._standstill = Standstill()
         self._hold_from_ns, self._rtt_before_ns = now_ns, self._rtts.shortest_ns
-        self._silent = why is Input.SILENCE
+        self._silent = why in (Input.SILENCE, Input.QUICKENED)
         self._silence.deadline_ns = _NEVER_NS
         left = self._flights.count_since(self._epoch_ns)
         if left < TRAIN_DATAGRAMS or (self._known_bps or 0.0) > LIGHT_BPS:

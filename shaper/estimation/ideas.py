@@ -12,6 +12,7 @@ class Ideas:
     silence: bool = True
     overdue: bool = True
     way_back: bool = True
+    quickened: bool = True
     verify: bool = True
     gaps: bool = True
     anchor: bool = True

@@ -16,13 +16,14 @@ from shaper.serial_number import expand
 _MARGIN_NS = 4_000_000  # a timer's lateness, on either side
 _NOISE_FACTOR = 6.0
 _FALSE_ALARMS = 2e-4  # chance that so many datagrams in a row are lost
-_HICCUPS = 3e-3  # and that so many of the peer's are, which costs no more than until the next one
+HICCUPS = 3e-3  # and that so many of the peer's are, which costs no more than until the next one
 _LEAST_LOSS = 0.005
 _LATE_NS = 20_000_000  # what ends a hiccup is later than its predecessor by no more than this ...
 _LATE_SHARE = 0.35  # ... or this share of the silence
 _SAME_NS = 5_000_000
 _AS_EVER_NS = 10_000_000  # a queue of the peer's is as long
 _QUICKEST_OF = 64
+_SETTLED_AFTER = 32  # datagrams that were no later: no queue of the peer's is draining
 _LARGEST_NS = 200_000_000  # that a backlog's datagram may take: a small one's successor may be so large
 _LARGEST_OF = 32  # how many of the peer's datagrams are sure to have had a large one among them
 HICCUP_NS = 300_000_000  # a longer silence is none
@@ -39,6 +40,7 @@ class Silence:
         self.misses = 1  # datagrams in a row that must fail to come before that is more than loss
         self.same = False  # whether the newest datagram took as long as the one before it
         self.later_ns = 0  # how much longer it took
+        self.quickened = False  # whether it took less than any of late, which is no queue that drains
         self.as_ever = False  # whether it took as long as the quickest of late, but for its size
         self.unbroken = False  # whether it also follows that one, so that the peer itself was late
         self._largest_ns = 0  # the longest promise of late: what the peer's largest datagrams take
@@ -77,7 +79,7 @@ class Silence:
         self._compare_with_the_quickest(packet, now_ns, late=late)
         self.heard_ns = now_ns
         self.unbroken = follows and self.same
-        self.misses = self.needed_misses(self._loss.ratio, _HICCUPS)
+        self.misses = self.needed_misses(self._loss.ratio, HICCUPS)
         if promise_ns <= _LARGEST_NS:  # a longer one is of an idle peer
             self._note_size(promise_ns)
         margin_ns = _MARGIN_NS + max(int(_NOISE_FACTOR * self.noise_ns), self._largest_ns - promise_ns)
@@ -86,6 +88,7 @@ class Silence:
 
     def _compare_with_the_quickest(self, packet: HeardPacket, now_ns: int, *, late: bool) -> None:
         """What it took to serve is known by the rate that the peer has told."""
+        self.quickened = False
         if not packet.peer_bps:
             self.as_ever = self.same
             return
@@ -97,6 +100,10 @@ class Silence:
             self._quickest_us, self._compared = (delay_us, delay_us), 0
             return
         former_us, newest_us = self._quickest_us
+        fallen_ns = (min(self._quickest_us) - delay_us) * 1000
+        self.quickened = (
+            self._compared >= _SETTLED_AFTER and fallen_ns > _FALL_NS + _NOISE_FACTOR * self.noise_ns
+        )
         self._compared += 1
         if self._compared % _QUICKEST_OF == 0:
             former_us, newest_us = newest_us, delay_us

@@ -22,6 +22,7 @@ class Input(StrEnum):
     MEASURED = "trains tell the rate"
     UNCHANGED = "a packet met what the old band predicts"
     SILENCE = "the peer's promise ran out"
+    QUICKENED = "the way back is suddenly shorter"
     FILLS = "the way back runs full"
     OVERDUE = "a packet should have been reported"
     HEARD = "the peer is heard again"
@@ -37,6 +38,7 @@ TRANSITIONS: dict[tuple[State, Input], State] = {
     (State.RUN, Input.FALL): State.RUN,
     (State.RUN, Input.RISE): State.RUN,
     (State.RUN, Input.SILENCE): State.HOLD,
+    (State.RUN, Input.QUICKENED): State.HOLD,
     (State.RUN, Input.FILLS): State.HOLD,
     (State.RUN, Input.OVERDUE): State.HOLD,
     (State.HOLD, Input.HEARD): State.PROBE,
