@@ -176,6 +176,8 @@ class PredictingEstimator:
         elif self._expected is not None and now_ns > self._expected.news_ns + self._margin_ns(self._expected):
             self._falls.on_missed(self._expected)
             self._expect(now_ns)
+        elif before is not State.RUN:  # the band is as before, and so is what is expected of it
+            self._expect(now_ns)
 
     def _expect(self, now_ns: int) -> None:
         """Foresee the next fall from the rate that the link has now."""

@@ -436,3 +436,18 @@ def test_delays_that_a_wrongly_told_rate_made_look_short_are_forgotten() -> None
     heard_by_size(silence, [620] * 128, 500 * MS, 100_000, 10 * S)
     heard_by_size(silence, [56], 500 * MS, 100_000, 60 * S)
     assert silence.as_ever
+
+
+@pytest.mark.parametrize(
+    ("before", "other_ns", "quickened"),
+    [(40, 450 * MS, True), (40, 490 * MS, False), (40, 550 * MS, False), (10, 450 * MS, False)],
+)
+def test_a_datagram_that_took_less_than_all_of_late_has_come_by_another_band(
+    before: int, other_ns: int, quickened: bool
+) -> None:
+    silence = Silence()
+    heard_by_size(silence, [620] * before, 500 * MS, 100_000, 0)
+    heard_by_size(silence, [620], other_ns, 100_000, 40 * S)
+    assert silence.quickened is quickened
+    heard_by_size(silence, [620], other_ns, 100_000, 41 * S)
+    assert not silence.quickened  # told once
