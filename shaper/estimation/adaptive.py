@@ -48,6 +48,10 @@ LITTLE_LOSS = 0.02  # ... but where more is lost, this train and the next one ar
 LIGHT_BPS = 36_000  # a train takes a tenth of a second there: thinner links take what has left for one
 FRESH_NS = 1 * NS_PER_S  # ... until so long after a change
 
+THIN_BPS = (
+    150_000  # so little leaves in a round trip that a train beside it does, whatever the link has become
+)
+
 SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
 SURELY_NS = 25 * NS_PER_MS  # a silent link changed before what the peer's last datagram tells, by about this
 QUICKER_NS = 8 * NS_PER_MS  # a delay lower by this is another band, or a higher rate
@@ -228,7 +232,7 @@ class AdaptiveEstimator:
 
     def _is_another_way_back(self) -> bool:
         """A way back that is suddenly shorter is another band's, which may carry less in our direction."""
-        known = self.state is State.RUN and self._baseline.delay_ns is not None
+        known = self.state is State.RUN and self._baseline.delay_ns is not None and self.rate_bps > THIN_BPS
         return known and self._silence.quickened and self._ideas.quickened
 
     def _was_silent(self) -> bool:
