@@ -23,7 +23,7 @@ from shaper.estimation.silence import HICCUP_NS, Silence
 from shaper.estimation.sizes import TRAIN_BYTES, full_bytes, train_bytes
 from shaper.estimation.standstill import Standstill
 from shaper.estimation.states import Input, State, follow
-from shaper.estimation.trains import TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains
+from shaper.estimation.trains import TRAIN_DATAGRAMS, TRAIN_INTERVAL_NS, Trains, probing_bps
 from shaper.estimation.trickle import TRICKLE_BYTES, pace_trickle
 from shaper.estimation.virtual_queue import VirtualQueue
 from shaper.estimation.way_back import WayBack
@@ -322,9 +322,9 @@ class AdaptiveEstimator:
         return deadline_ns + (PATIENCE_NS if fresh else 0)
 
     def _begin_probing(self, now_ns: int) -> None:
-        """The cautious rate: a band that was seen, or a tenth of the last."""
+        """Trains leave at a cautious rate: the link may have become much slower."""
         known_bps = self._known_bps or START_BPS
-        cautious_bps = self._bands.cautious_bps(known_bps, seen=self._ideas.bands)
+        cautious_bps = probing_bps(known_bps)
         if self._silent and self._silence.as_ever:  # a blackout, more likely than another band
             cautious_bps = known_bps / SAME_CAUTION
             self._trains.need_no_more()
@@ -386,8 +386,6 @@ class AdaptiveEstimator:
             self._followed.restart(rate_bps)
             self._set_rate(rate_bps)
         elif risen_bps is not None:
-            if self._ideas.bands:
-                risen_bps = self._bands.likely(risen_bps, self._rtts.newest_ns)
             self._enter(Input.RISE, now_ns)
             self._epoch_ns = arrived[0].sent_ns
             self._change(risen_bps, now_ns)

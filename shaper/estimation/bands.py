@@ -1,4 +1,8 @@
-"""Bands that the link has shown: remembered as a guess of how slow it may have become, and to be named."""
+"""Bands that the link has shown: remembered to be recognised and named, for people.
+
+What the link may have become is not guessed by them: where two or three bands alternate a train tells the
+rate in the same round trip, and where bands change at random it comes near a former one by chance.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +10,16 @@ from dataclasses import dataclass
 
 _SAME_RATIO = 1.25  # rates within this are one band ...
 _SAME_RTT = (30_000_000, 0.25)  # ... if their round trips differ by less than this, or this share
-_QUEUED_NS = 80_000_000  # of a round trip may be queue
-_LIKELY_RATIO = 2.0  # trains tell at least half the rate
 _FOLLOW = 0.1  # how quickly a band's figures follow the newest
-_TRUSTED_VISITS = 3  # links that change at random come near a band twice by chance
 _MOST = 16
-CAUTION = 10  # a band that is not known may be so many times slower than the last
-LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we are made for
 
 
 @dataclass(slots=True)
 class Band:
-    """rtt_ns: without queue. visits: how often it was entered."""
+    """rtt_ns: without queue."""
 
     rate_bps: float
     rtt_ns: int
-    visits: int = 1
 
     @property
     def name(self) -> str:
@@ -43,9 +41,8 @@ class Bands:
         if band is None or not _same(band, rate_bps, rtt_ns):
             band = next((b for b in self._known if _same(b, rate_bps, rtt_ns)), None)
             if band is None:
-                band = Band(rate_bps, rtt_ns, 0)
+                band = Band(rate_bps, rtt_ns)
                 self._known = [*self._known[-_MOST + 1 :], band]
-            band.visits += 1
             self.current = band
         band.rate_bps += _FOLLOW * (rate_bps - band.rate_bps)
         band.rtt_ns += int(_FOLLOW * (rtt_ns - band.rtt_ns))
@@ -53,29 +50,6 @@ class Bands:
     def leave(self) -> None:
         """The link has changed."""
         self.current = None
-
-    def likely(self, least_bps: float, rtt_ns: int) -> float:
-        """The slowest band of about this round trip (ns) that is somewhat faster; or least_bps."""
-        rates = [
-            b.rate_bps
-            for b in self._known
-            if least_bps <= b.rate_bps < _LIKELY_RATIO * least_bps
-            and -_SAME_RTT[0] < rtt_ns - b.rtt_ns < _QUEUED_NS
-        ]
-        return min(rates, default=least_bps)
-
-    def cautious_bps(self, known_bps: float, *, seen: bool = True) -> float:
-        """How slow a link of this rate may have become: a band that was seen, if `seen`, or a tenth."""
-        tenth_bps = max(known_bps / CAUTION, min(known_bps, LEAST_CAUTIOUS_BPS))
-        lowest = self.lowest_below(known_bps) if seen else None
-        return tenth_bps if lowest is None else max(tenth_bps, lowest.rate_bps)
-
-    def lowest_below(self, rate_bps: float) -> Band | None:
-        """The slowest band that is clearly slower than this, and that the link comes back to."""
-        slower = [
-            band for band in self._known if band.rate_bps < 0.7 * rate_bps and band.visits >= _TRUSTED_VISITS
-        ]
-        return min(slower, key=lambda band: band.rate_bps, default=None)
 
 
 def _same(band: Band, rate_bps: float, rtt_ns: int) -> bool:

@@ -13,7 +13,14 @@ MOST_LONGER, LONGER_NOISE_NS = 5, 1_200_000  # one more per this much noise of a
 TRAIN_INTERVAL_NS = 20 * NS_PER_MS  # at least, from the end of one to the start of the next
 START_INTERVAL_NS, MAX_START_INTERVAL_NS = 300 * NS_PER_MS, 3 * NS_PER_S  # while no train was reported
 ANSWER_NS, ANSWER_RTTS = 1 * NS_PER_S, 2  # trains not reported for so long are lost, or wait in a queue
+CAUTION = 10  # trains follow each other as if the link had become so many times slower ...
+LEAST_CAUTIOUS_BPS = 8_000  # but hardly slower than the slowest link that we are made for
 DOUBT_NS, DOUBT_RTTS = 1 * NS_PER_S, 4  # for so long a link that has become quicker is measured by trains
+
+
+def probing_bps(known_bps: float) -> float:
+    """The rate at which trains follow each other on a link that last carried known_bps."""
+    return max(known_bps / CAUTION, min(known_bps, LEAST_CAUTIOUS_BPS))
 
 
 class Trains:

@@ -19,7 +19,7 @@ from shaper.estimation.followed_rate import DRIFT_RATIO, FollowedRate
 from shaper.estimation.silence import Silence
 from shaper.estimation.standstill import Standstill
 from shaper.estimation.states import TRANSITIONS, Input, State, follow, mermaid
-from shaper.estimation.trains import Trains
+from shaper.estimation.trains import Trains, probing_bps
 from shaper.estimation.trickle import (
     LONGEST_TRICKLE_NS,
     TRICKLE_BYTES,
@@ -194,23 +194,23 @@ def test_a_lossy_way_back_must_miss_more_promises_before_it_is_silent() -> None:
     assert [silence.needed_misses(loss) for loss in (0.0, 0.1, 0.2)] == [1, 4, 6]
 
 
-def test_the_slowest_band_that_the_link_comes_back_to_is_what_it_may_have_become() -> None:
-    bands = Bands()
-    for _ in range(3):
-        assert bands.lowest_below(1e6) is None, "links that change at random come near a band by chance"
-        bands.settle(1e6, 100 * MS)
-        bands.settle(1e5, 1000 * MS)
-    slowest = bands.lowest_below(1e6)
-    assert slowest is not None and slowest.rate_bps == 1e5
-    assert bands.lowest_below(1e5) is None
-
-
-def test_a_rise_is_to_a_known_band_only_if_that_is_not_far() -> None:
+def test_a_band_that_comes_back_is_recognised_and_another_is_not() -> None:
     bands = Bands()
     bands.settle(1e6, 100 * MS)
-    assert bands.likely(600_000, 120 * MS) == 1e6
-    assert bands.likely(300_000, 120 * MS) == 300_000, "else trains of another band fill its buffer"
-    assert bands.likely(600_000, 400 * MS) == 600_000
+    fast = bands.current
+    bands.leave()
+    assert bands.current is None
+    bands.settle(1e5, 1000 * MS)
+    assert bands.current is not None and bands.current.name == "100 kbit/s 500 ms"
+    bands.leave()
+    bands.settle(0.98e6, 104 * MS)
+    assert bands.current is fast
+    bands.settle(1e6, 400 * MS)
+    assert bands.current is not fast, "the same rate with another delay"
+
+
+def test_trains_follow_each_other_at_a_tenth_of_the_last_rate() -> None:
+    assert [probing_bps(rate_bps) for rate_bps in (1e6, 50_000, 5_000)] == [100_000, 8_000, 5_000]
 
 
 def test_a_rate_that_drifts_far_either_way_is_in_doubt() -> None:
