@@ -224,6 +224,8 @@ class AdaptiveEstimator:
                 self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self.state is State.HOLD:
             return
+        elif fills and self._trains.enough and self._ideas.way_back:  # it was no blackout after all
+            self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self._standstill.is_as_before(packet, now_ns):
             self._send_as_before(now_ns)
         elif now_ns > self.pacer.sent_ns + REPLY_NS and self._replies_left:
@@ -386,6 +388,8 @@ class AdaptiveEstimator:
             self._followed.restart(rate_bps)
             self._set_rate(rate_bps)
         elif risen_bps is not None:
+            if self._ideas.bands:
+                risen_bps = self._bands.likely(risen_bps, self._rtts.newest_ns)
             self._enter(Input.RISE, now_ns)
             self._epoch_ns = arrived[0].sent_ns
             self._change(risen_bps, now_ns)

@@ -1,7 +1,7 @@
-"""Bands that the link has shown: remembered to be recognised and named, for people.
+"""Bands that the link has shown: recognised where a rise leads to one of them, and named for people.
 
-What the link may have become is not guessed by them: where two or three bands alternate a train tells the
-rate in the same round trip, and where bands change at random it comes near a former one by chance.
+How slow a link may have become is not guessed by them: a train tells that in the same round trip, and
+where bands change at random some come near each other by chance.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 _SAME_RATIO = 1.25  # rates within this are one band ...
 _SAME_RTT = (30_000_000, 0.25)  # ... if their round trips differ by less than this, or this share
+_QUEUED_NS = 80_000_000  # of a round trip may be queue
+_LIKELY_RATIO = 2.0  # trains tell at least half the rate
 _FOLLOW = 0.1  # how quickly a band's figures follow the newest
 _MOST = 16
 
@@ -50,6 +52,19 @@ class Bands:
     def leave(self) -> None:
         """The link has changed."""
         self.current = None
+
+    def likely(self, least_bps: float, rtt_ns: int) -> float:
+        """The slowest band of about this round trip (ns) that is somewhat faster; or least_bps.
+
+        What trains tell first is too little where arrivals are noisy.
+        """
+        rates = [
+            b.rate_bps
+            for b in self._known
+            if least_bps <= b.rate_bps < _LIKELY_RATIO * least_bps
+            and -_SAME_RTT[0] < rtt_ns - b.rtt_ns < _QUEUED_NS
+        ]
+        return min(rates, default=least_bps)
 
 
 def _same(band: Band, rate_bps: float, rtt_ns: int) -> bool:

@@ -17,6 +17,7 @@ class Ideas:
     gaps: bool = True
     anchor: bool = True
     quicker: bool = True
+    bands: bool = True
     unchanged: bool = True
     remainder: bool = True
     standstill: bool = True

@@ -7,6 +7,7 @@ changed, or the way there, half a round trip before any report could.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from shaper.frames import NUMBER_BITS
 from shaper.loss import LossMeter
@@ -27,7 +28,10 @@ _SETTLED_AFTER = 32  # datagrams that were no later: no queue of the peer's is d
 _LARGEST_NS = 200_000_000  # that a backlog's datagram may take: a small one's successor may be so large
 _LARGEST_OF = 32  # how many of the peer's datagrams are sure to have had a large one among them
 HICCUP_NS = 300_000_000  # a longer silence is none
-_FALL_NS = 20_000_000  # of the delay back, which says that the path has changed
+_FALL_NS = 20_000_000  # of the delay back, which says that the path has changed ...
+_CLUMP_NS = (
+    25_000_000  # ... against what came before this: where the order is kept it falls in many small steps
+)
 _NEVER_NS = 1 << 62
 
 
@@ -50,6 +54,7 @@ class Silence:
         self._delay_us: int | None = None  # of the newest datagram, plus the clocks' offset
         self._quickest_us: tuple[int, ...] = ()  # the least delays of late, less what it took to serve, ...
         self._compared = 0  # ... of one to two times so many datagrams, and of the newest up to so many
+        self._fresh: deque[tuple[int, int]] = deque()  # when the next of those came, and their delays
         self._promise_ns = 0
         self._least_us = 0
         self._deviation_us = 0.0
@@ -96,18 +101,26 @@ class Silence:
         delay_us = now_ns // 1000 - packet.sent_us - served_us
         off_ns = min(abs(delay_us - quickest_us) for quickest_us in self._quickest_us or (delay_us,)) * 1000
         self.as_ever = off_ns < max(_AS_EVER_NS, _NOISE_FACTOR * self.noise_ns)
-        if late or not self._quickest_us:
+        self._pass_fresh(now_ns)
+        if self._quickest_us and not late:
+            fallen_ns = (min(self._quickest_us) - delay_us) * 1000
+            fall_ns = _FALL_NS + _NOISE_FACTOR * self.noise_ns
+            self.quickened = self._compared >= _SETTLED_AFTER and fallen_ns > fall_ns
+        if late or self.quickened or not self._quickest_us:
             self._quickest_us, self._compared = (delay_us, delay_us), 0
-            return
-        former_us, newest_us = self._quickest_us
-        fallen_ns = (min(self._quickest_us) - delay_us) * 1000
-        self.quickened = (
-            self._compared >= _SETTLED_AFTER and fallen_ns > _FALL_NS + _NOISE_FACTOR * self.noise_ns
-        )
-        self._compared += 1
-        if self._compared % _QUICKEST_OF == 0:
-            former_us, newest_us = newest_us, delay_us
-        self._quickest_us = min(former_us, delay_us), min(newest_us, delay_us)
+            self._fresh.clear()
+        else:
+            self._fresh.append((now_ns, delay_us))
+
+    def _pass_fresh(self, now_ns: int) -> None:
+        """What came a while ago is what the next ones are compared with; those of a clump are not."""
+        while self._fresh and self._fresh[0][0] < now_ns - _CLUMP_NS:
+            delay_us = self._fresh.popleft()[1]
+            former_us, newest_us = self._quickest_us
+            self._compared += 1
+            if self._compared % _QUICKEST_OF == 0:
+                former_us, newest_us = newest_us, delay_us
+            self._quickest_us = min(former_us, delay_us), min(newest_us, delay_us)
 
     def _note_size(self, promise_ns: int) -> None:
         """Of a backlog: what the datagram itself takes."""
@@ -120,6 +133,7 @@ class Silence:
     def on_peer_restarted(self) -> None:
         """Another clock, other numbers."""
         self._number, self._delay_us, self._quickest_us = -1, None, ()
+        self._fresh.clear()
 
     def _judge_delay(self, delay_us: int, promise_ns: int, silence_ns: int) -> tuple[bool, bool]:
         """A larger datagram takes longer; in a backlog the next one follows it later by just that."""

@@ -35,6 +35,7 @@ TRANSITIONS: dict[tuple[State, Input], State] = {
     (State.PROBE, Input.MEASURED): State.RUN,
     (State.PROBE, Input.UNCHANGED): State.RUN,
     (State.PROBE, Input.SILENCE): State.HOLD,
+    (State.PROBE, Input.FILLS): State.HOLD,
     (State.RUN, Input.FALL): State.RUN,
     (State.RUN, Input.RISE): State.RUN,
     (State.RUN, Input.SILENCE): State.HOLD,

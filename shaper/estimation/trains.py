@@ -26,22 +26,23 @@ def probing_bps(known_bps: float) -> float:
 class Trains:
     """interval_ns: between those that search for the rate. In run they leave only while it is in doubt.
 
-    left: how many datagrams of the present one have not left yet.
+    left: how many datagrams of the present one have not left yet. enough: whether the link is taken for what
+    it was, and no more of them are needed.
     """
 
     __slots__ = (
         "_answer_by_ns",
         "_doubt_until_ns",
-        "_enough",
         "_last_number",
         "_sent_ns",
+        "enough",
         "interval_ns",
         "left",
     )
 
     def __init__(self, now_ns: int, *, hinted: bool) -> None:
         self.left = 0
-        self._enough = False
+        self.enough = False
         self.interval_ns = TRAIN_INTERVAL_NS if hinted else START_INTERVAL_NS
         self._last_number = -1  # of the newest datagram of a train
         self._sent_ns = self._doubt_until_ns = self._answer_by_ns = now_ns
@@ -53,19 +54,19 @@ class Trains:
     def stop(self, pacer: VirtualQueue) -> None:
         """There is none any more."""
         self.left = pacer.free = pacer.free_from_ns = 0
-        self._enough = False
+        self.enough = False
 
     def need_no_more(self) -> None:
         """The link is taken for what it was: what leaves after this train tells its rate as well."""
-        self.interval_ns, self._enough = 0, True
+        self.interval_ns, self.enough = 0, True
 
     def are_needed(self, now_ns: int) -> bool:
         """Whether another one is to follow."""
-        return not self._enough or self.is_overdue(now_ns)
+        return not self.enough or self.is_overdue(now_ns)
 
     def next_at_ns(self, opens_ns: int) -> int:
         """When the next datagram of a train leaves, if the pacer opens then."""
-        return max(opens_ns, self._answer_by_ns + 1) if self._enough and not self.left else opens_ns
+        return max(opens_ns, self._answer_by_ns + 1) if self.enough and not self.left else opens_ns
 
     def on_sent(self, number: int, pacer: VirtualQueue, now_ns: int) -> bool:
         """A datagram has left; whether it was of a train."""

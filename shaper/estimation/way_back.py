@@ -7,7 +7,7 @@ tell only after they have waited in that very queue.
 
 from __future__ import annotations
 
-FILLS_NS = 120_000_000  # longer in all, what their sizes explain taken off: what the last ones rose by ...
+FILLS_NS = 80_000_000  # longer in all, what their sizes explain taken off: what the last ones rose by ...
 RISES = 3  # ... at least so many in a row, each by ...
 RISE_NS = 1_500_000  # ... more than this; one step alone is another delay
 NOISE_FACTOR = 6.0
@@ -21,6 +21,7 @@ class WayBack:
         self._began_us: tuple[int, int] | None = None  # the delay then, with and without that of its size
         self._last_us = (0, 0)
         self._rises = 0
+        self._noise_ns = 0.0  # before the rise, which is none
         self._told = False
 
     def fills(self, sent_us: int, promise_ns: int, noise_ns: float, now_ns: int) -> bool:
@@ -37,12 +38,12 @@ class WayBack:
             self._began_us, self._rises, self._told = delays_us, 0, False
         elif later_ns > least_ns:
             if not self._rises:
-                self.began_ns = now_ns
+                self.began_ns, self._noise_ns = now_ns, noise_ns
             self._rises += 1
         risen_ns = 1000 * min(a - b for a, b in zip(delays_us, self._began_us, strict=True))
         if risen_ns < least_ns:
             self._began_us, self._rises, self._told = delays_us, 0, False
-        grown = self._rises >= RISES and risen_ns > FILLS_NS + NOISE_FACTOR * noise_ns
+        grown = self._rises >= RISES and risen_ns > FILLS_NS + NOISE_FACTOR * self._noise_ns
         news = grown and not self._told
         self._told = self._told or grown
         return news

@@ -209,6 +209,14 @@ def test_a_band_that_comes_back_is_recognised_and_another_is_not() -> None:
     assert bands.current is not fast, "the same rate with another delay"
 
 
+def test_a_rise_is_to_a_known_band_only_if_that_is_not_far() -> None:
+    bands = Bands()
+    bands.settle(1e6, 100 * MS)
+    assert bands.likely(600_000, 120 * MS) == 1e6
+    assert bands.likely(300_000, 120 * MS) == 300_000, "else trains of another band fill its buffer"
+    assert bands.likely(600_000, 400 * MS) == 600_000
+
+
 def test_trains_follow_each_other_at_a_tenth_of_the_last_rate() -> None:
     assert [probing_bps(rate_bps) for rate_bps in (1e6, 50_000, 5_000)] == [100_000, 8_000, 5_000]
 
@@ -451,3 +459,29 @@ def test_a_datagram_that_took_less_than_all_of_late_has_come_by_another_band(
     assert silence.quickened is quickened
     heard_by_size(silence, [620], other_ns, 100_000, 41 * S)
     assert not silence.quickened  # told once
+
+
+@pytest.mark.parametrize(("fall_ms", "quickened"), [(100, True), (15, False)])
+def test_where_the_order_is_kept_a_shorter_way_back_brings_a_clump_which_tells_the_same(
+    fall_ms: int, quickened: bool
+) -> None:
+    """Of what was sent every 5 ms all that left in the new band comes behind the last of the old one."""
+    silence, told = Silence(), []
+    arrived_ms = 0
+    for number in range(80):
+        sent_ms = 5 * number
+        delay_ms = 300 if number < 50 else 300 - fall_ms
+        arrived_ms = max(arrived_ms, sent_ms + delay_ms)
+        silence.on_heard(HeardPacket(number, sent_ms * 1000, 625, 5 * MS, 1_000_000), arrived_ms * MS)
+        told.append(silence.quickened)
+    assert told.count(True) == (1 if quickened else 0)
+    assert not quickened or told.index(True) == 54, "the fifth of them took 25 ms less"
+
+
+def test_a_queue_of_the_peers_that_drains_is_no_shorter_way_back() -> None:
+    silence = Silence()
+    for number in range(400):
+        delay_us = 300_000 - 500 * max(0, number - 200)
+        now_ns = 10 * number * MS + delay_us * 1000
+        silence.on_heard(HeardPacket(number, 10_000 * number, 625, 10 * MS, 1_000_000), now_ns)
+        assert not silence.quickened

@@ -60,6 +60,17 @@ def test_jitter_is_no_queue(seed: int, jitter_ms: float) -> None:
     assert hear(WayBack(), delays_ms, noise_ns=0.7 * jitter_ms * MS) == []
 
 
+def test_the_rise_itself_is_no_noise() -> None:
+    """Each step of 10 ms raises what is taken for noise by 1 ms; that before the first one counts."""
+    way, told = WayBack(), []
+    for index in range(60):
+        sent_us, late_ms = 5_000_000 + index * 20_000, 10 * max(0, index - 30)
+        now_ns = sent_us * 1000 + (100 + late_ms) * MS
+        if way.fills(sent_us, 20 * MS, late_ms * MS / 10, now_ns):
+            told.append(index)
+    assert told == [39]
+
+
 @given(slope=st.floats(0.3, 5))
 def test_it_is_known_when_little_more_than_the_limit_has_gathered(slope: float) -> None:
     delays_ms = [100 + 20 * slope * n for n in range(200)]
