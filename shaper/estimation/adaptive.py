@@ -224,7 +224,8 @@ class AdaptiveEstimator:
                 self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self.state is State.HOLD:
             return
-        elif fills and self._trains.enough and self._ideas.way_back:  # it was no blackout after all
+        elif fills and self._trains.enough and self._ideas.way_back and not self._standstill.held:
+            # It was no blackout, but another band: its delay and queue were together what the delay had been.
             self._hold(Input.FILLS, self._changed_before_ns(self._way_back.began_ns), now_ns)
         elif self._standstill.is_as_before(packet, now_ns):
             self._send_as_before(now_ns)

@@ -19,13 +19,26 @@ _SAME_RATIO = 1.25
 
 
 class Standstill:
-    """Looks at the peer's datagrams from the first one after a silence on."""
+    """Looks at the peer's datagrams from the first one after a silence on.
 
-    __slots__ = ("_bits", "_last_ns", "_least_ns", "_number", "_pairs", "_spread_ns", "_watching", "ended_ns")
+    held: whether the link has kept what it was sent meanwhile. ended_ns: when the peer was heard again.
+    """
+
+    __slots__ = (
+        "_bits",
+        "_last_ns",
+        "_least_ns",
+        "_number",
+        "_pairs",
+        "_spread_ns",
+        "_watching",
+        "ended_ns",
+        "held",
+    )
 
     def __init__(self) -> None:
-        self._watching = False
-        self.ended_ns = 0  # when the peer was heard again
+        self._watching = self.held = False
+        self.ended_ns = 0
         self._number = self._last_ns = self._bits = self._pairs = self._spread_ns = self._least_ns = 0
 
     def end(self, packet: HeardPacket, silence_ns: int, later_ns: int, noise_ns: float, now_ns: int) -> None:
@@ -34,7 +47,8 @@ class Standstill:
         later_ns: by how much this datagram took longer than the one before it. noise_ns: one sigma of
         arrivals until then; what the link has held comes with other delays.
         """
-        self._watching = silence_ns > STANDSTILL_NS and later_ns > _LATE_SHARE * silence_ns
+        self.held = silence_ns > STANDSTILL_NS and later_ns > _LATE_SHARE * silence_ns
+        self._watching = self.held
         self._number, self._last_ns, self.ended_ns = packet.number, now_ns, now_ns
         self._bits = self._pairs = self._spread_ns = 0
         self._least_ns = _LEAST_NS + int(_NOISE_FACTOR * noise_ns)

@@ -113,6 +113,17 @@ def test_a_rise_is_found_though_all_that_leaves_meanwhile_is_what_must_pass(seed
     assert min(way["utilisation"] for way in result.values()) > 0.8
 
 
+@pytest.mark.parametrize("delay_ms", [388, 418, 448])
+def test_a_link_whose_new_delay_and_queue_are_what_its_delay_was_is_not_taken_for_the_old_one(
+    delay_ms: int,
+) -> None:
+    """2.1 s of queue before anyone can know; it was 7.9 s while nothing looked at what came afterwards."""
+    profile = steps((24, 1_794_000, 503), (10, 367_000, delay_ms), loss_ratio=0.05)
+    mission = settings("trials", "backlogged", 33, 2)
+    result = run_mission(replace(mission, profile=profile, estimator=adaptive))["link"]
+    assert max(way["queue_delay_max_ms"] for way in result.values()) < 2_700
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_thin_link_that_has_held_its_queue_is_used_before_a_report_could_say_that_it_is_the_same(
     seed: int,
