@@ -48,9 +48,7 @@ LITTLE_LOSS = 0.02  # ... but where more is lost, this train and the next one ar
 LIGHT_BPS = 36_000  # a train takes a tenth of a second there: thinner links take what has left for one
 FRESH_NS = 1 * NS_PER_S  # ... until so long after a change
 
-THIN_BPS = (
-    150_000  # so little leaves in a round trip that a train beside it does, whatever the link has become
-)
+THIN_BPS = 150_000  # so little leaves there in a round trip that to pause for one would cost more
 
 SAME_NS = 10 * NS_PER_MS  # a delay within this of the old band's says that the band is the old one
 SURELY_NS = 25 * NS_PER_MS  # a silent link changed before what the peer's last datagram tells, by about this
