@@ -117,7 +117,8 @@ class Silence:
         while self._fresh and self._fresh[0][0] < now_ns - _CLUMP_NS:
             delay_us = self._fresh.popleft()[1]
             former_us, newest_us = self._quickest_us
-            self._compared += 1
+            drains = (min(former_us, newest_us) - delay_us) * 1000 > _SAME_NS
+            self._compared = 0 if drains else self._compared + 1
             if self._compared % _QUICKEST_OF == 0:
                 former_us, newest_us = newest_us, delay_us
             self._quickest_us = min(former_us, delay_us), min(newest_us, delay_us)

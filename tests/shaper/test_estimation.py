@@ -485,3 +485,17 @@ def test_a_queue_of_the_peers_that_drains_is_no_shorter_way_back() -> None:
         now_ns = 10 * number * MS + delay_us * 1000
         silence.on_heard(HeardPacket(number, 10_000 * number, 625, 10 * MS, 1_000_000), now_ns)
         assert not silence.quickened
+
+
+def test_what_a_link_has_held_comes_ever_quicker_and_is_no_shorter_way_back() -> None:
+    """30 s of a trickle, served one behind the other, and then what is sent anew."""
+    silence = Silence()
+    for number in range(40):
+        silence.on_heard(
+            HeardPacket(number, 10_000 * number, 625, 10 * MS, 1_000_000), (10 * number + 50) * MS
+        )
+    for number in range(40, 190):
+        sent_ms = 400 + 200 * (number - 40)
+        now_ns = (30_450 + 3 * (number - 40)) * MS
+        silence.on_heard(HeardPacket(number, sent_ms * 1000, 54, 100 * MS, 1_000_000), now_ns)
+        assert not silence.quickened
