@@ -39,7 +39,8 @@ from straitlink.mission import MissionSettings, load_named_or_file, run_mission
 OUT = Path("out/bench/link_estimation.json")
 MINUTES = 6.0
 BOUNDS = {"informed": False, "oracle": True}  # told of each change when word of it could have come
-SYNCHRONISED = {"trials rule", "measuring", *BOUNDS}  # for which both hosts' clocks must show true time
+TOLD = {"measuring", *BOUNDS}  # that something has changed; they know of no blackouts
+SYNCHRONISED = {"trials rule", *TOLD}  # for which both hosts' clocks must show true time
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,19 +271,14 @@ def main() -> None:
     parser.add_argument("--ablation", action="store_true", help="ours, with each idea off in turn")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    known = [*estimators(), "measuring", *BOUNDS]
+    known = [*estimators(), *sorted(TOLD)]
     for name in arguments.estimators or []:
         if name not in known:
             parser.error(f"--estimators {name}: expected of {', '.join(known)}")
     names = arguments.estimators or ["adaptive", "informed", "presets", "trials rule", "gradient"]
     if arguments.ablation:
         names = ["adaptive", *(name for name in estimators() if name.startswith("adaptive-"))]
-    pairs = [
-        (row, name)
-        for name in names
-        for row in arguments.rows
-        if name not in SYNCHRONISED or name == "trials rule" or _is_lit(row)
-    ]
+    pairs = [(row, name) for name in names for row in arguments.rows if name not in TOLD or _is_lit(row)]
     jobs = [(row, name, seed, arguments.minutes) for row, name in pairs for seed in arguments.seeds]
     figures = run(jobs, arguments.processes)
     rows = []

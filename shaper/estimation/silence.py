@@ -29,9 +29,7 @@ _LARGEST_NS = 200_000_000  # that a backlog's datagram may take: a small one's s
 _LARGEST_OF = 32  # how many of the peer's datagrams are sure to have had a large one among them
 HICCUP_NS = 300_000_000  # a longer silence is none
 _FALL_NS = 20_000_000  # of the delay back, which says that the path has changed ...
-_CLUMP_NS = (
-    25_000_000  # ... against what came before this: where the order is kept it falls in many small steps
-)
+_CLUMP_NS = 25_000_000  # ... against what came earlier: where the order is kept it falls in small steps
 _NEVER_NS = 1 << 62
 
 
